@@ -77,7 +77,6 @@ INTEGER_SUMS = {
         "dataset(self._group, path).id.get_storage_size()",
     },
     "data/store/schema.py": {"_width(name)"},
-    "data/store/shard.py": {"self._adopt(shard, batch)"},
     "envs/parts/memory.py": {"PIXEL_BYTES[name]", "drawn"},
     "evaluation/generate.py": {"done.errors.values()"},
     "evaluation/score/capabilities.py": {"capability.shown(record)"},

@@ -15,8 +15,8 @@ import pytest
 import mjhab
 from mjhab.assets.sources import licence_of
 from mjhab.core.errors import UsageError
-from mjhab.data.record.crew import ALL
-from mjhab.data.record.generation import Standing
+from mjhab.data.record.job import Standing
+from mjhab.data.record.workers import ALL
 from mjhab.evaluation import generate as library
 from mjhab.evaluation.generate import (
     GenerateSpec,
@@ -59,9 +59,9 @@ def test_the_example_of_the_docstring(
     )
     assert len(example.examples) > 3
     assert doctest.DocTestRunner().run(example).failed == 0
-    assert sorted(path.name for path in (tmp_path / "runs" / "close").glob("*.h5")) == [
-        "shard_000.h5"
-    ]
+    folder = tmp_path / "runs" / "close" / "episodes"
+    (file,) = folder.glob("*.h5")
+    assert file.stem.endswith("-0-0000000") and (folder / "index.jsonl").is_file()
 
 
 def test_the_example_of_the_docstring_of_evaluate(

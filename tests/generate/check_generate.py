@@ -20,8 +20,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-from mjhab.core.errors import MjhabError
-from mjhab.data.store.reading import open_shard
+from mjhab.data.store.episode_files import EPISODE_FOLDER, EpisodeFiles
 
 MJHAB = [sys.executable, "-m", "mjhab.cli.main"]
 MAKE = [
@@ -52,15 +51,8 @@ def start(out: Path, episodes: int, *more: str) -> subprocess.Popen[str]:
 
 
 def written(out: Path) -> int:
-    """Episodes in the shards at this moment."""
-    count = 0
-    for path in out.glob("shard_*.h5"):
-        try:
-            with open_shard(path) as shard:
-                count += len(shard)
-        except MjhabError:
-            continue
-    return count
+    """Episodes in the folder at this moment."""
+    return len(EpisodeFiles(out / EPISODE_FOLDER).names)
 
 
 def wait_until(

@@ -25,7 +25,8 @@ import numpy as np
 
 from mjhab.cli.main import main
 from mjhab.core.errors import MjhabError
-from mjhab.data.record.generation import CONFIG, TRIED, generate
+from mjhab.data.record.generation import generate
+from mjhab.data.record.job import CONFIG, TRIED
 from mjhab.data.select.sets import stats
 from mjhab.data.store.checking import check, repair
 from mjhab.data.store.episode_data import episode_digest
@@ -36,7 +37,7 @@ from mjhab.evaluation import evaluate
 from tests.data.export.exporting import to_maniskill
 from tests.data.fake_world import FakeEnv
 from tests.data.make import record
-from tests.data.record.crews import KEEP, InlineCrew, job
+from tests.data.record.worker_pools import KEEP, InlinePool, job
 from tests.hostile.mutations import changed_json
 from tests.rollout.fake_env import FakeEnv as RolloutEnv
 
@@ -302,12 +303,12 @@ def _without_physics() -> Iterator[None]:
 
 
 def make_set(folder: Path) -> None:
-    generate(job(folder / "set", KEEP, episodes=6), InlineCrew())
+    generate(job(folder / "set", KEEP, episodes=6), InlinePool())
 
 
 def read_set(folder: Path) -> bool:
     again = job(folder / "set", KEEP, episodes=6)
-    return asked(lambda: generate(again, InlineCrew(), resume=True))
+    return asked(lambda: generate(again, InlinePool(), resume=True))
 
 
 def _changing(

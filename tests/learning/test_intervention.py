@@ -10,9 +10,11 @@ import numpy as np
 import pytest
 
 from mjhab.core.action_notes import ActionNotes
-from mjhab.data.record.crew import InlineCrew, Stage, WorkerSpec
-from mjhab.data.record.generation import Job, generate
+from mjhab.data.record.generation import generate
+from mjhab.data.record.job import Job
+from mjhab.data.record.pools import InlinePool
 from mjhab.data.record.recorder import Recorder
+from mjhab.data.record.workers import Stage, WorkerSpec
 from mjhab.data.store.places import episodes
 from mjhab.data.store.shard import ShardWriter
 from mjhab.learning.configs import DaggerConfig, InputConfig
@@ -153,7 +155,7 @@ def test_a_worker_in_this_process_makes_what_a_job_asks_for(tmp_path: Path) -> N
         )
 
     job = Job(WorkerSpec(build, 1), {"a": 1}, tmp_path / "out", 6, chunk=2)
-    done = generate(job, InlineCrew())
+    done = generate(job, InlinePool())
     assert done.complete and done.kept == done.written == 6
-    again = generate(job, InlineCrew(), resume=True)
+    again = generate(job, InlinePool(), resume=True)
     assert again.written == 0 and again.kept == 6

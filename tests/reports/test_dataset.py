@@ -18,7 +18,7 @@ from mjhab.core.errors import UsageError
 from mjhab.data.select.query import Filter
 from mjhab.data.store.images import ImageFormat
 from mjhab.data.store.places import episodes
-from mjhab.data.store.shard import ShardWriter
+from mjhab.data.store.shard import rewrite
 from mjhab.render.film import FilmWriter
 from mjhab.reports.dataset import render_data_report
 from mjhab.reports.dataset_forces import force_plots
@@ -134,8 +134,7 @@ def test_labels_of_another_version_come_last(tmp_path: Path) -> None:
         )
         for episode in episodes(tmp_path)
     }
-    with ShardWriter(path) as writer:
-        writer.replace_records(told)
+    rewrite(path, told)
     page = render_data_report(tmp_path, FilmWriter)
     assert "own rules, older_failure: 3 of 3" in page
     assert "</b>: older failure <small>(" in page

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import mjhab
-from mjhab.data.record.replay import verify
+from mjhab.data.record.verify import verify
 from mjhab.data.store.checking import check
 from mjhab.data.store.places import episodes
 from mjhab.envs.observations.state import state_dim

@@ -4,7 +4,6 @@ import collections
 import dataclasses
 import json
 import re
-import shutil
 import socket
 import threading
 import time
@@ -26,6 +25,7 @@ from websockets.sync.client import connect
 
 import mjhab
 from mjhab.core.errors import UsageError
+from mjhab.data.select.sets import merge
 from mjhab.data.store.shard import ShardWriter
 from mjhab.viewer.drawn.glb import home_files
 from mjhab.viewer.pages.app import DRAWN, HOLD_SECONDS, Viewer, _HeldStart
@@ -270,9 +270,8 @@ def test_an_episode_that_cannot_be_shown_is_told_in_the_page(
 def test_copies_of_an_episode_have_titles_of_their_own(
     shard: Path, tmp_path: Path
 ) -> None:
-    (found,) = shard.glob("*.h5")
     for name in "abc":
-        shutil.copy(found, tmp_path / f"{name}.h5")
+        merge([shard], tmp_path / f"{name}.h5")
     replay = Replay(tmp_path)
     assert len(replay.choices) == 6
     shards = [replay._episodes[title].shard.path.name for title in replay.choices]
@@ -421,9 +420,8 @@ def test_pages_of_other_sites_cannot_connect(viewer: Viewer) -> None:
 def test_a_shard_that_is_being_written_shows_what_it_has(
     shard: Path, tmp_path: Path
 ) -> None:
-    (found,) = shard.glob("*.h5")
     copy = tmp_path / "copy.h5"
-    shutil.copy(found, copy)
+    merge([shard], copy)
     with ShardWriter(copy):
         replay = Replay(copy)
         assert replay.load(replay.choices[0]).last == STEPS

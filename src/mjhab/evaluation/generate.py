@@ -19,8 +19,9 @@ from mjhab.config.env import EnvConfig
 from mjhab.core.errors import UsageError
 from mjhab.core.machine import cores
 from mjhab.data.record import generation
-from mjhab.data.record.crew import ALL, Crew, InlineCrew, ProcessCrew, Stage, WorkerSpec
-from mjhab.data.record.generation import Job, Standing
+from mjhab.data.record.job import Job, Standing
+from mjhab.data.record.pools import InlinePool, ProcessPool, WorkerPool
+from mjhab.data.record.workers import ALL, Stage, WorkerSpec
 from mjhab.data.select.until import Until
 from mjhab.data.store.images import ImageFormat
 from mjhab.data.store.places import episodes as recorded_episodes
@@ -145,9 +146,9 @@ def run_generation(
         UsageError, StorageError, MjhabError: see `generate`.
     """
     job = make_job(spec)
-    crew = make_crew(spec.workers, spec.ray)
+    pool = make_pool(spec.workers, spec.ray)
     begun = time.perf_counter()
-    standing = generation.generate(job, crew, tell, stopped, spec.resume)
+    standing = generation.generate(job, pool, tell, stopped, spec.resume)
     return GeneratedData(spec.out, job.config, standing, time.perf_counter() - begun)
 
 
@@ -188,17 +189,17 @@ def make_job(spec: GenerateSpec) -> Job:
     )
 
 
-def make_crew(workers: int, ray: str | None = None) -> Crew:
-    """Make a crew of workers: actors of the Ray cluster at ``ray``, processes, or, for 0 workers, this process.
+def make_pool(workers: int, ray: str | None = None) -> WorkerPool:
+    """Make a pool of workers: actors of the Ray cluster at ``ray``, processes, or, for 0 workers, this process.
 
     Raises:
         UsageError: Ray is not installed, or the cluster cannot be reached.
     """
     if ray:
-        from mjhab.data.record.ray_crew import RayCrew
+        from mjhab.data.record.ray_workers import RayPool
 
-        return RayCrew(ray)
-    return ProcessCrew() if workers else InlineCrew()
+        return RayPool(ray)
+    return ProcessPool() if workers else InlinePool()
 
 
 def build_stage(spec: GenerateSpec) -> Stage:

@@ -10,10 +10,8 @@ from typing import Any
 from mjhab.core.names import kind_of
 from mjhab.core.timing import STEP_SECONDS
 from mjhab.data.select.query import Filter
-from mjhab.data.select.sets import Place, nothing_passes, select
-from mjhab.data.store.episode_data import RunInfo
-from mjhab.data.store.places import shard_paths
-from mjhab.data.store.reading import open_shard
+from mjhab.data.select.sets import nothing_passes, select
+from mjhab.data.store.places import Place, shard_paths
 from mjhab.reports.dataset_forces import SAFE_FORCE_N, force_plots
 from mjhab.reports.dataset_labels import (
     LabelTable,
@@ -56,7 +54,7 @@ def render_data_report(
     for kind in dict.fromkeys(subtask.kind for subtask in subtasks):
         recorded_number(kind)
     plots = force_plots(subtasks)
-    runs = _runs(found.matched)
+    runs = list({id(run): run for run in found.runs}.values())
     policies = list(dict.fromkeys(run.policy for run in runs))
     rules = "; ".join(dict.fromkeys(rules_of(run.config.get("env", {})) for run in runs))
     chips = _chips(records, policies, rules)
@@ -75,19 +73,6 @@ def render_data_report(
         homes=sorted(Counter(record.home for record in records).items()),
         plots=plots,
     )
-
-
-def _runs(members: Sequence[Place]) -> list[RunInfo]:
-    """The runs of the episodes."""
-    # Names of episodes start with the hash of their run's config.
-    configs: dict[Path, set[str]] = defaultdict(set)
-    for path, name in members:
-        configs[path].add(name.partition("-")[0])
-    runs: list[RunInfo] = []
-    for path, wanted in configs.items():
-        with open_shard(path) as shard:
-            runs += [run for run in shard.runs.values() if run.config_id in wanted]
-    return runs
 
 
 def _chips(

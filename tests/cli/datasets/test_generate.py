@@ -15,12 +15,13 @@ import mjhab
 from mjhab.cli.main import main
 from mjhab.core.errors import UsageError
 from mjhab.core.files.interrupts import stop_signals
+from mjhab.data.store.places import episodes
 from mjhab.data.store.reading import open_shard
 from mjhab.evaluation.generate import build_stage, make_job
 from mjhab.evaluation.specs import GenerateSpec
 from mjhab.tasks.style import Styles
-from tests.data.record.crews import InlineCrew
 from tests.data.record.test_replay import changed
+from tests.data.record.worker_pools import InlinePool
 
 
 def machine(
@@ -69,13 +70,34 @@ def test_generate_tells_machines_what_it_made(
         again
     )
     assert (again["written"], again["kept"], sum(again["labels"].values())) == (0, 2, 2)
-    assert again["bytes_per_episode"] == round((made / "shard_000.h5").stat().st_size / 2)
-    with open_shard(made / "shard_000.h5") as shard:
-        assert [(episode.record.index, episode.steps) for episode in shard] == [
-            (0, 200),
-            (1, 200),
-        ]
-        assert next(iter(shard)).run.config["policy"] == {"name": "zero"}
+    sizes = [path.stat().st_size for path in (made / "episodes").glob("*.h5")]
+    assert again["bytes_per_episode"] == round(sum(sizes) / 2) and len(sizes) == 2
+    found = list(episodes(made))
+    assert [(episode.record.index, episode.steps) for episode in found] == [
+        (0, 200),
+        (1, 200),
+    ]
+    assert found[0].run.config["policy"] == {"name": "zero"}
+
+
+def test_what_is_packed_is_the_same_and_goes_on(
+    made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = Path(shutil.copytree(made, tmp_path / "packed"))
+    query = ("data", "query", "--list", "2", "--where", "steps > 1")
+    before = machine(capsys, *query, str(out))
+    told = machine(capsys, "data", "pack", str(out))
+    (shard,) = out.glob("*.h5")
+    assert told == {"episodes": 2, "shards": 1, "bytes": shard.stat().st_size}
+    assert not (out / "episodes").exists()
+    after = machine(capsys, *query, str(out))
+    for row in (*before["episodes"], *after["episodes"]):
+        del row["shard"]
+    assert before == after
+    more = machine(capsys, *COMMAND, "--episodes", "3", "--out", str(out), "--resume")
+    assert (more["written"], more["kept"]) == (1, 3)
+    assert machine(capsys, "data", "check", str(out))["ok"] == 3
+    assert "nothing to pack" in refused(capsys, "data", "pack", str(tmp_path))
 
 
 def test_episodes_that_the_policy_cannot_finish_end_with_an_error(
@@ -121,7 +143,7 @@ def test_replay_verifies(
     def shift(arrays: dict[str, Any]) -> None:
         arrays["states/qpos"][5] += 1e-9
 
-    wrong = changed(made / "shard_000.h5", tmp_path / "wrong.h5", shift)
+    wrong = changed(made, tmp_path / "wrong.h5", shift)
     found = machine(
         capsys,
         "replay",
@@ -234,7 +256,14 @@ def test_what_cannot_work_is_refused_before_anything_is_built(
         (("replay", str(made), "--verify", "--render", "rgb"), "one of the two"),
         (("replay", str(made), "--render", "rgb"), "needs --out"),
         (
-            ("replay", str(made), "--render", "rgb", "--out", str(made / "shard_000.h5")),
+            (
+                "replay",
+                str(made),
+                "--render",
+                "rgb",
+                "--out",
+                str(min(made.rglob("*.h5"))),
+            ),
             "one of the shards",
         ),
         (("replay", "--verify"), "name shards"),
@@ -253,7 +282,7 @@ def test_a_quota_that_was_not_filled_fails(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(
-        "mjhab.evaluation.generate.make_crew", lambda workers, ray: InlineCrew()
+        "mjhab.evaluation.generate.make_pool", lambda workers, ray: InlinePool()
     )
     found = machine(
         capsys,
@@ -291,11 +320,11 @@ def test_signals_are_noted_and_given_back() -> None:
 def test_ray_that_is_not_installed(monkeypatch: pytest.MonkeyPatch) -> None:
     import sys
 
-    from mjhab.data.record.ray_crew import RayCrew
+    from mjhab.data.record.ray_workers import RayPool
 
     monkeypatch.setitem(sys.modules, "ray", None)
     with pytest.raises(UsageError, match=r"pip install .*\[scale\]'"):
-        RayCrew("local")
+        RayPool("local")
 
 
 def test_styles_are_drawn_per_episode_and_kept_with_it(
@@ -314,18 +343,17 @@ def test_styles_are_drawn_per_episode_and_kept_with_it(
         "--out",
         str(out),
     )
-    with open_shard(out / "shard_000.h5") as shard:
-        episodes = list(shard)
-        for episode in episodes:
-            style = episode.record.style
-            assert style == Styles.parse(words[1:]).draw(0, episode.record.index).__dict__
-            assert json.loads(episode.attributes["style"]) == style
-            assert episode.run.config["policy"]["style"] == [
-                "speed=0.7..0.9",
-                "release=drop",
-                "hold=2",
-            ]
-    assert len({episode.record.style["speed"] for episode in episodes}) == 2
+    made = list(episodes(out))
+    for episode in made:
+        style = episode.record.style
+        assert style == Styles.parse(words[1:]).draw(0, episode.record.index).__dict__
+        assert json.loads(episode.attributes["style"]) == style
+        assert episode.run.config["policy"]["style"] == [
+            "speed=0.7..0.9",
+            "release=drop",
+            "hold=2",
+        ]
+    assert len({episode.record.style["speed"] for episode in made}) == 2
     found = machine(
         capsys,
         "data",
@@ -366,16 +394,16 @@ def test_a_policy_of_ones_own(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(
-        "mjhab.evaluation.generate.make_crew", lambda workers, ray: InlineCrew()
+        "mjhab.evaluation.generate.make_pool", lambda workers, ray: InlinePool()
     )
     file = tmp_path / "mine.py"
     file.write_text(OWN)
     command = (*COMMAND, "--policy", f"{file}:Still")
     seen = tmp_path / "seen"
     assert machine(capsys, *command, "--out", str(seen))["kept"] == 2
-    with open_shard(seen / "shard_000.h5") as shard:
-        policy = next(iter(shard)).run.config["policy"]
-        assert [episode.steps for episode in shard] == [3, 3]
+    found = list(episodes(seen))
+    policy = found[0].run.config["policy"]
+    assert [episode.steps for episode in found] == [3, 3]
     assert (
         policy["name"] == "mine.py:Still" and policy["env_options"]["obs_mode"] == "depth"
     )
@@ -387,10 +415,9 @@ def test_a_policy_of_ones_own(
     machine(
         capsys, *command, "--images", "rgb", "--camera-size", "16", "--out", str(stored)
     )
-    with open_shard(stored / "shard_000.h5") as shard:
-        episode = next(iter(shard))
-        assert episode.frame("fetch_hand", "rgb", 0).shape == (16, 16, 3)
-        assert episode.frame("fetch_hand", "depth", 0).shape == (16, 16, 1)
+    episode = next(episodes(stored))
+    assert episode.frame("fetch_hand", "rgb", 0).shape == (16, 16, 3)
+    assert episode.frame("fetch_hand", "depth", 0).shape == (16, 16, 1)
     file.write_text(OWN + "# another version")
     assert "policy_sha256" in refused(capsys, *command, "--resume", "--out", str(seen))
     assert "Did you mean 'Still'" in refused(

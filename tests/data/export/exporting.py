@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from mjhab.data.export.lerobot.export import Exported, write_lerobot
-from mjhab.data.export.lerobot.pieces import FilmTools
+from mjhab.data.export.lerobot.parts import FilmTools
 from mjhab.data.export.maniskill import ManiSkillSet, write_maniskill
 from mjhab.data.export.request import ExportRequest
 

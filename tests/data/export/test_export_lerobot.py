@@ -19,7 +19,7 @@ from mjhab.core.rotations import quat_rotate
 from mjhab.data.export.conventions import CONVENTIONS
 from mjhab.data.export.lerobot.export import Exported
 from mjhab.data.export.lerobot.features import FPS, Choice
-from mjhab.data.export.lerobot.pieces import FilmTools
+from mjhab.data.export.lerobot.parts import FilmTools
 from mjhab.data.export.lerobot.stats import aggregate, image_stats, vector_stats
 from mjhab.data.select.describing import state_names, subtask_words
 from mjhab.data.select.own_state import split_state

@@ -17,7 +17,7 @@ from mjhab.core.conventions.names import PUBLISHED
 from mjhab.core.errors import UsageError
 from mjhab.data.imports.ms_hab import ABSENT, Origin, import_ms_hab
 from mjhab.data.imports.ms_hab_layout import ACTIONS, SCANNED_YAWS
-from mjhab.data.record.replay import verify
+from mjhab.data.record.verify import verify
 from mjhab.data.select.dataset import Normalization, Window, WindowDataset
 from mjhab.data.select.query import Filter
 from mjhab.data.select.sets import select, stats

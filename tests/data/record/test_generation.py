@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import functools
 import json
+import multiprocessing
 import os
 import random
 import signal
@@ -18,12 +19,17 @@ import numpy as np
 import pytest
 
 from mjhab.core.errors import MjhabError, UsageError
-from mjhab.data.record.crew import ProcessCrew, Stage
-from mjhab.data.record.generation import CONFIG, TRIED, Job, Standing, generate
+from mjhab.data.record.generation import generate
+from mjhab.data.record.job import CONFIG, TRIED, Job, Standing
+from mjhab.data.record.pools import ProcessPool
+from mjhab.data.record.workers import Stage
 from mjhab.data.store.checking import check
-from mjhab.data.store.shard import ShardWriter, StorageError
+from mjhab.data.store.episode_data import EpisodeData
+from mjhab.data.store.episode_files import EpisodeFiles, lock_set
+from mjhab.data.store.packing import pack
+from mjhab.data.store.storage import StorageError
 from mjhab.rollout.policy import RandomPolicy
-from tests.data.record.crews import KEEP, InlineCrew, after, build, job, kept
+from tests.data.record.worker_pools import KEEP, InlinePool, after, build, job, kept
 
 COUNT = 16
 """Episodes to keep; not every one that is tried passes."""
@@ -33,7 +39,7 @@ COUNT = 16
 def reference(tmp_path_factory: pytest.TempPathFactory) -> dict[int, str]:
     """What one worker with one world keeps."""
     out = tmp_path_factory.mktemp("reference") / "set"
-    done = generate(job(out, KEEP, worlds=1, per_target=COUNT, chunk=1), InlineCrew())
+    done = generate(job(out, KEEP, worlds=1, per_target=COUNT, chunk=1), InlinePool())
     assert done.complete and (done.written, done.kept, done.wanted) == (
         COUNT,
         COUNT,
@@ -58,17 +64,17 @@ def test_workers_and_deaths_do_not_change_the_set(
     chunk: int,
     deaths: float,
 ) -> None:
-    crew = InlineCrew(seed=workers, deaths=deaths)
+    pool = InlinePool(seed=workers, deaths=deaths)
     done = generate(
-        job(tmp_path, KEEP, worlds, per_target=COUNT, workers=workers, chunk=chunk), crew
+        job(tmp_path, KEEP, worlds, per_target=COUNT, workers=workers, chunk=chunk), pool
     )
-    assert done.complete and done.written == done.kept == COUNT and crew.stopped
+    assert done.complete and done.written == done.kept == COUNT and pool.stopped
     assert kept(tmp_path) == reference and check(tmp_path).clean
-    assert (crew.died > 0) == (deaths > 0)
+    assert (pool.died > 0) == (deaths > 0)
 
 
 def test_failures_are_kept_without_a_filter(tmp_path: Path) -> None:
-    done = generate(job(tmp_path, episodes=20, workers=3), InlineCrew(deaths=0.1))
+    done = generate(job(tmp_path, episodes=20, workers=3), InlinePool(deaths=0.1))
     assert (
         done.complete
         and list(kept(tmp_path)) == list(range(20))
@@ -79,10 +85,10 @@ def test_failures_are_kept_without_a_filter(tmp_path: Path) -> None:
 
 def test_quotas_of_labels(tmp_path: Path) -> None:
     done = generate(
-        job(tmp_path / "three", episodes=45, per_label=2, workers=3), InlineCrew(1)
+        job(tmp_path / "three", episodes=45, per_label=2, workers=3), InlinePool(1)
     )
     assert done.complete and max(done.labels.values()) == 2 and len(done.labels) > 3
-    generate(job(tmp_path / "one", episodes=45, per_label=2), InlineCrew(2))
+    generate(job(tmp_path / "one", episodes=45, per_label=2), InlinePool(2))
     assert kept(tmp_path / "one") == kept(tmp_path / "three")
 
 
@@ -90,28 +96,28 @@ def test_a_stopped_run_goes_on_where_it_was(
     tmp_path: Path, reference: dict[int, str]
 ) -> None:
     work = job(tmp_path, KEEP, per_target=COUNT, workers=2)
-    first = generate(work, InlineCrew(3), stopped=after(12))
+    first = generate(work, InlinePool(3), stopped=after(12))
     assert not first.complete and 0 < first.kept < COUNT
     written = first.written
     for n in range(20):
-        now = generate(work, InlineCrew(n, deaths=0.1), stopped=after(25), resume=True)
+        now = generate(work, InlinePool(n, deaths=0.1), stopped=after(25), resume=True)
         written += now.written
         if now.complete:
             break
     assert now.complete and written == now.kept == COUNT and kept(tmp_path) == reference
-    again = generate(work, InlineCrew(), resume=True)
+    again = generate(work, InlinePool(), resume=True)
     assert again.complete and again.written == 0 and kept(tmp_path) == reference
 
 
 def test_a_raised_quota_gives_the_set_of_the_larger_one(
     tmp_path: Path, reference: dict[int, str]
 ) -> None:
-    generate(job(tmp_path, KEEP, per_target=10, workers=3), InlineCrew(1))
+    generate(job(tmp_path, KEEP, per_target=10, workers=3), InlinePool(1))
     assert len(kept(tmp_path)) == 10
     told: list[Standing] = []
     generate(
         job(tmp_path, KEEP, per_target=COUNT, workers=1),
-        InlineCrew(2),
+        InlinePool(2),
         told.append,
         resume=True,
     )
@@ -123,7 +129,7 @@ def test_a_raised_quota_gives_the_set_of_the_larger_one(
 
 def test_a_quota_that_cannot_be_filled_ends_with_the_episodes(tmp_path: Path) -> None:
     done = generate(
-        job(tmp_path, "steps > 10000", episodes=10, per_target=3, workers=2), InlineCrew()
+        job(tmp_path, "steps > 10000", episodes=10, per_target=3, workers=2), InlinePool()
     )
     assert done.complete and (done.kept, done.tried, done.passed) == (0, 10, 0)
     lines = (tmp_path / TRIED).read_text().splitlines()
@@ -132,7 +138,7 @@ def test_a_quota_that_cannot_be_filled_ends_with_the_episodes(tmp_path: Path) ->
     (tmp_path / TRIED).write_text("\n".join(lines)[:-5])
     again = generate(
         job(tmp_path, "steps > 10000", episodes=12, per_target=3),
-        InlineCrew(),
+        InlinePool(),
         resume=True,
     )
     assert again.tried == 12 and len((tmp_path / TRIED).read_text().splitlines()) == 12
@@ -180,12 +186,12 @@ def test_episodes_that_the_policy_cannot_finish_are_tried_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, keep: str
 ) -> None:
     work = failing(job(tmp_path, keep, episodes=9, workers=2), FailingPolicy)
-    done = generate(work, InlineCrew(deaths=0.1))
+    done = generate(work, InlinePool(deaths=0.1))
     assert done.errors == {"no answer within 30 s": 3} and done.complete
     assert list(kept(tmp_path)) == [1, 2, 4, 5, 7, 8] and done.kept == 6
     assert not (tmp_path / TRIED).exists()
     monkeypatch.setattr(FailingPolicy, "works", True)
-    done = generate(work, InlineCrew(), resume=True)
+    done = generate(work, InlinePool(), resume=True)
     assert not done.errors and (done.written, done.kept) == (3, 9)
     assert list(kept(tmp_path)) == list(range(9))
 
@@ -196,11 +202,11 @@ def test_a_lost_episode_that_fails_the_second_time_is_not_waited_for(
     monkeypatch.setattr(OncePolicy, "owners", {})
     work = job(tmp_path, KEEP, per_target=COUNT, workers=3, chunk=4)
     work = failing(work, OncePolicy)
-    # The crew dies with an episode that was promised to be kept.
-    done = generate(work, InlineCrew(seed=0, deaths=0.2))
+    # The pool dies with an episode that was promised to be kept.
+    done = generate(work, InlinePool(seed=0, deaths=0.2))
     assert done.complete and done.errors and done.kept == COUNT - 1
     monkeypatch.setattr(OncePolicy, "works", True)
-    done = generate(work, InlineCrew(), resume=True)
+    done = generate(work, InlinePool(), resume=True)
     assert done.complete and not done.errors and kept(tmp_path) == reference
 
 
@@ -215,46 +221,49 @@ def test_a_lost_episode_that_fails_the_second_time_is_not_waited_for(
     ],
 )
 def test_tried_episodes_that_are_none_are_refused(tmp_path: Path, line: str) -> None:
-    generate(job(tmp_path, "steps > 10000", episodes=2), InlineCrew())
+    generate(job(tmp_path, "steps > 10000", episodes=2), InlinePool())
     (tmp_path / TRIED).write_text(f"{line}\n")
     with pytest.raises(UsageError, match=r"tried.jsonl is damaged"):
-        generate(job(tmp_path, "steps > 10000", episodes=2), InlineCrew(), resume=True)
+        generate(job(tmp_path, "steps > 10000", episodes=2), InlinePool(), resume=True)
+
+
+def workers() -> list[int]:
+    """Process ids of the workers that live."""
+    return [process.pid or 0 for process in multiprocessing.active_children()]
 
 
 def test_processes_killed_at_random_lose_and_double_nothing(
     tmp_path: Path, reference: dict[int, str]
 ) -> None:
-    crew = ProcessCrew()
+    pool = ProcessPool()
     dice = random.Random(5)
     killed = list[int]()
 
     def kill(now: Standing) -> None:
         if len(killed) < 2 and now.written >= 4 * (1 + len(killed)):
             time.sleep(0.05 * dice.random())
-            killed.append(
-                dice.choice([pid for pid in crew.pids.values() if pid not in killed])
-            )
+            killed.append(dice.choice([pid for pid in workers() if pid not in killed]))
             os.kill(killed[-1], signal.SIGKILL)
 
-    done = generate(job(tmp_path, KEEP, per_target=COUNT, workers=2), crew, kill)
+    done = generate(job(tmp_path, KEEP, per_target=COUNT, workers=2), pool, kill)
     assert len(killed) == 2 and done.complete and done.written == COUNT
-    assert kept(tmp_path) == reference and check(tmp_path).clean and not crew.pids
+    assert kept(tmp_path) == reference and check(tmp_path).clean and not workers()
 
 
 def test_processes_stop_in_the_middle_of_an_episode(tmp_path: Path) -> None:
-    crew = ProcessCrew()
+    pool = ProcessPool()
     begun = time.monotonic()
     told: list[Standing] = []
     done = generate(
         job(tmp_path, episodes=100_000, workers=1),
-        crew,
+        pool,
         told.append,
         lambda: len(told) > 5,
     )
     assert (
         not done.complete
         and done.kept >= 3
-        and not crew.pids
+        and not workers()
         and time.monotonic() - begun < 20
     )
     assert check(tmp_path).clean and len(kept(tmp_path)) == done.kept
@@ -263,27 +272,27 @@ def test_processes_stop_in_the_middle_of_an_episode(tmp_path: Path) -> None:
 def test_a_full_disk_stops_and_can_be_resumed(
     tmp_path: Path, reference: dict[int, str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    real = ShardWriter._change
+    real = EpisodeFiles.append
     left = [8]
 
-    def change(self: ShardWriter, fill: object) -> int:
+    def append(self: EpisodeFiles, data: EpisodeData) -> int:
         left[0] -= 1
         if left[0] < 0:
-            raise StorageError("the disk is full")
-        return real(self, fill)  # type: ignore[arg-type]
+            raise OSError(28, "No space left on device")
+        return real(self, data)
 
     work = job(tmp_path, KEEP, per_target=COUNT, workers=2)
     with monkeypatch.context() as patch:
-        patch.setattr(ShardWriter, "_change", change)
-        crew = InlineCrew()
+        patch.setattr(EpisodeFiles, "append", append)
+        pool = InlinePool()
         with pytest.raises(
             StorageError,
             match=r"the disk is full.*Continue with `mjhab generate --resume`",
         ):
-            generate(work, crew)
-        assert crew.stopped and len(kept(tmp_path)) == 8
+            generate(work, pool)
+        assert pool.stopped and len(kept(tmp_path)) == 8
     assert (
-        generate(work, InlineCrew(), resume=True).complete and kept(tmp_path) == reference
+        generate(work, InlinePool(), resume=True).complete and kept(tmp_path) == reference
     )
 
 
@@ -295,50 +304,55 @@ def test_the_disk_of_the_list_of_tries_is_full(
 
     monkeypatch.setattr("mjhab.data.record.generation._Run._log", full)
     with pytest.raises(StorageError, match=r"No space left.*--resume"):
-        generate(job(tmp_path, "steps > 10000", episodes=10), InlineCrew())
+        generate(job(tmp_path, "steps > 10000", episodes=10), InlinePool())
 
 
 def test_a_worker_that_always_dies_or_fails_is_given_up(tmp_path: Path) -> None:
     with pytest.raises(MjhabError, match="died 3 times"):
         generate(
-            job(tmp_path / "a", "steps > 10000", episodes=10), InlineCrew(deaths=1.0)
+            job(tmp_path / "a", "steps > 10000", episodes=10), InlinePool(deaths=1.0)
         )
-    with (
-        pytest.raises(UsageError, match="is being written"),
-        ShardWriter(tmp_path / "b" / "shard_000.h5") as writer,
-    ):
-        # Another process has every shard, as far as a worker can see.
-        (tmp_path / "b" / CONFIG).write_text('{"keep": ""}')
-        work = job(tmp_path / "b", episodes=5)
-        crew = InlineCrew()
-        start = crew.start
-        crew.start = lambda number, spec, shard: start(number, spec, writer.path)  # type: ignore[method-assign]
-        generate(work, crew, resume=True)
+
+
+def test_nobody_packs_what_is_being_generated_nor_the_other_way_round(
+    tmp_path: Path,
+) -> None:
+    work = job(tmp_path, episodes=3)
+    with pytest.raises(UsageError, match="is being written"):
+        generate(work, InlinePool(), lambda _: pack(tmp_path))
+    with lock_set(tmp_path), pytest.raises(UsageError, match="is being written"):
+        generate(work, InlinePool(), resume=True)
+    assert generate(work, InlinePool(), resume=True).kept == pack(tmp_path).episodes == 3
+    # The packed ones count.
+    more = generate(job(tmp_path, episodes=5), InlinePool(), resume=True)
+    assert (more.written, more.kept) == (2, 5)
+    assert len(kept(tmp_path)) == 5
 
 
 def test_folders_that_cannot_be_used(tmp_path: Path) -> None:
-    generate(job(tmp_path / "a", episodes=3), InlineCrew())
+    generate(job(tmp_path / "a", episodes=3), InlinePool())
     with pytest.raises(UsageError, match=r"not empty .*Give --resume"):
-        generate(job(tmp_path / "a", episodes=3), InlineCrew())
+        generate(job(tmp_path / "a", episodes=3), InlinePool())
     with pytest.raises(UsageError, match="started with keep = '', now it is"):
-        generate(job(tmp_path / "a", "success", episodes=3), InlineCrew(), resume=True)
+        generate(job(tmp_path / "a", "success", episodes=3), InlinePool(), resume=True)
     (tmp_path / "a" / CONFIG).unlink()
     with pytest.raises(UsageError, match="nothing to resume"):
-        generate(job(tmp_path / "a", episodes=3), InlineCrew(), resume=True)
+        generate(job(tmp_path / "a", episodes=3), InlinePool(), resume=True)
     with pytest.raises(UsageError, match="is a file"):
-        generate(job(tmp_path / "a" / "shard_000.h5", episodes=3), InlineCrew())
+        file = min((tmp_path / "a").rglob("*.h5"))
+        generate(job(file, episodes=3), InlinePool())
     (tmp_path / "a" / CONFIG).write_text('{"keep": ""}')
     work = job(tmp_path / "a", episodes=5)
     with pytest.raises(UsageError, match="is being written"):
         generate(
             work,
-            InlineCrew(),
-            lambda _: generate(work, InlineCrew(), resume=True),
+            InlinePool(),
+            lambda _: generate(work, InlinePool(), resume=True),
             resume=True,
         )
     other = replace(
         work, spec=replace(work.spec, build=functools.partial(build, 2, "pick"))
     )
     with pytest.raises(UsageError, match="another configuration"):
-        generate(other, InlineCrew(), resume=True)
-    assert generate(work, InlineCrew(), resume=True).kept == 5
+        generate(other, InlinePool(), resume=True)
+    assert generate(work, InlinePool(), resume=True).kept == 5

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mjhab.core.errors import UsageError
-from mjhab.data.record.quotas import Outcome, Quotas, Surety
+from mjhab.data.record.quotas import GuaranteedTargets, Outcome, Quotas
 
 TARGETS = ("bowl", "apple", "can")
 LABELS = ("good", "bad")
@@ -57,7 +57,7 @@ def test_the_set_is_that_of_one_worker(
     outcomes = drawn(seed, 90, chance)
     dice = random.Random(seed + 1)
     quotas = Quotas(TARGETS, per_target, per_label)
-    open_now: list[tuple[int, Surety]] = []
+    open_now: list[tuple[int, GuaranteedTargets]] = []
     kept = set[int]()
     following = 0
     while True:
@@ -67,7 +67,7 @@ def test_the_set_is_that_of_one_worker(
             and not quotas.full
         ):
             indices = range(following, min(following + chunk, len(outcomes)))
-            sure = quotas.surety(indices[-1])
+            sure = quotas.guaranteed(indices[-1])
             open_now += [(index, sure) for index in indices]
             following = indices[-1] + 1
         if not open_now:
@@ -80,7 +80,7 @@ def test_the_set_is_that_of_one_worker(
             kept.add(index)
         elif dice.random() < 0.1 and quotas.forget(index):
             # Its worker died before it was decided: it comes again.
-            open_now.append((index, Surety(False)))
+            open_now.append((index, GuaranteedTargets(False)))
             assert quotas.is_open(index)
         kept |= {i for i, keep in quotas.decide().items() if keep}
     assert sorted(kept) == one_after_another(outcomes, per_target, per_label)
@@ -91,16 +91,16 @@ def test_the_set_is_that_of_one_worker(
 
 def test_what_is_far_from_the_quota_is_certain_at_once() -> None:
     quotas = Quotas(("bowl",), per_target=10)
-    assert quotas.surety(9)("bowl") and not quotas.surety(10)("bowl")
+    assert quotas.guaranteed(9)("bowl") and not quotas.guaranteed(10)("bowl")
     for index in range(5):
         quotas.report(Outcome(index, "bowl", "good", index % 2 == 0))
     assert quotas.decide() == {0: True, 2: True, 4: True} and not quotas.full
     assert (
-        quotas.surety(11)("bowl")
-        and not quotas.surety(12)("bowl")
-        and quotas.surety(12)("apple")
+        quotas.guaranteed(11)("bowl")
+        and not quotas.guaranteed(12)("bowl")
+        and quotas.guaranteed(12)("apple")
     )
-    assert Quotas(()).surety(10**6)("anything")
+    assert Quotas(()).guaranteed(10**6)("anything")
 
 
 def test_an_open_lower_index_delays_the_decision() -> None:

@@ -15,7 +15,8 @@ import pytest
 from mjhab.cli.main import main
 from mjhab.core.errors import UsageError
 from mjhab.data.record.recorder import Recorder
-from mjhab.data.record.replay import FOLLOW, RenderRequest, render, verify
+from mjhab.data.record.render import FOLLOW, RenderRequest, render
+from mjhab.data.record.verify import verify
 from mjhab.data.select.query import Filter
 from mjhab.data.select.sets import merge
 from mjhab.data.store.checking import check
@@ -23,6 +24,7 @@ from mjhab.data.store.damage import episode_problems
 from mjhab.data.store.episode_data import EpisodeData, RunInfo
 from mjhab.data.store.hdf5 import dataset, group
 from mjhab.data.store.images import ImageFormat
+from mjhab.data.store.places import episodes
 from mjhab.data.store.reading import RecordedEpisode, open_shard
 from mjhab.data.store.shard import ShardWriter
 from mjhab.envs import make, make_train
@@ -65,8 +67,8 @@ def changed(
     source: Path, out: Path, change: Callable[[dict[str, np.ndarray]], None]
 ) -> Path:
     """A shard whose episodes have other arrays, with digests that fit them."""
-    with open_shard(source) as shard, ShardWriter(out) as writer:
-        for episode in shard:
+    with ShardWriter(out) as writer:
+        for episode in episodes(source):
             writer.append(altered(episode, change))
     return out
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pickle
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,14 +12,18 @@ import torch
 from torch.utils.data import BatchSampler, DataLoader
 
 from mjhab.core.errors import UsageError
+from mjhab.data.record.recorder import Recorder
 from mjhab.data.select.dataset import Normalization, SeededSampler, Window, WindowDataset
 from mjhab.data.select.query import Filter
+from mjhab.data.select.sets import merge
 from mjhab.data.select.statistics import Statistics
 from mjhab.data.select.until import Until
-from mjhab.data.store import journal
+from mjhab.data.store.episode_files import EpisodeFiles
 from mjhab.data.store.images import ImageFormat
 from mjhab.data.store.places import episodes
 from mjhab.data.store.schema import DamagedError
+from mjhab.rollout.loop import rollout
+from mjhab.rollout.policy import RandomPolicy
 from tests.data.fake_world import SIZE, FakeEnv
 from tests.data.make import record
 
@@ -106,27 +111,21 @@ def test_normalized_to_a_range(source: Path) -> None:
         WindowDataset(source, normalization=Normalization("rang"))
 
 
-def test_images_of_a_shard_with_a_journal(
-    source: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """A writer was killed while it put its last episode in place: frames come through HDF5, and are the same."""
-    path = tmp_path / "a.h5"
-    record(path, range(1), FakeEnv(subtask="pick", images=True), images=ImageFormat())
-
-    def killed(fd: int, pages: dict[int, bytes]) -> None:
-        raise KeyboardInterrupt
-
-    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
-        patch.setattr(journal, "_apply", killed)
-        record(
-            path, range(1, 2), FakeEnv(subtask="pick", images=True), images=ImageFormat()
+def test_windows_of_episode_files_are_those_of_their_shard(tmp_path: Path) -> None:
+    files: Any = EpisodeFiles(tmp_path / "episodes")
+    env: Any = FakeEnv(subtask="pick", images=True)
+    recorder = Recorder(files, env, {"name": "random"}, images=ImageFormat())
+    rollout(env, RandomPolicy(0), [0, 1, 2], 0, [recorder])
+    merge([tmp_path], tmp_path.with_name("merged.h5"))
+    for frames in ("memory", "decode"):
+        apart = WindowDataset(tmp_path, Window(images=(DEPTH,)), frames=frames)
+        whole = WindowDataset(
+            tmp_path.with_name("merged.h5"), Window(images=(DEPTH,)), frames=frames
         )
-    assert journal.journal_path(path).exists()
-    pending = WindowDataset(path, Window(images=(DEPTH,)))
-    whole = WindowDataset(source, Window(images=(DEPTH,)))
-    assert len(pending) == 2 * len(whole) // 6
-    for t in (0, len(pending) - 1):
-        assert torch.equal(pending[t][DEPTH], whole[t][DEPTH])
+        assert len(apart) == len(whole)
+        for t in (0, len(whole) // 2, len(whole) - 1):
+            for key, values in whole[t].items():
+                np.testing.assert_array_equal(apart[t][key], values)
 
 
 def test_a_file_that_was_replaced_is_told(source: Path, tmp_path: Path) -> None:

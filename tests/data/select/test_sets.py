@@ -20,7 +20,6 @@ from mjhab.data.store.checking import check
 from mjhab.data.store.hdf5 import dataset, group
 from mjhab.data.store.places import episodes
 from mjhab.data.store.schema import VERSION
-from mjhab.data.store.shard import ShardWriter
 from tests.data.fake_world import FakeEnv
 from tests.data.make import record
 
@@ -122,17 +121,6 @@ def test_a_data_set_is_not_written_into_itself(folder: Path) -> None:
         with pytest.raises(UsageError, match="is read as a shard"):
             work()
     assert sorted(folder.rglob("*")) == before
-
-
-def test_adopting_what_is_there_is_refused(folder: Path, tmp_path: Path) -> None:
-    from mjhab.data.store.reading import open_shard
-
-    out = tmp_path / "out.h5"
-    with ShardWriter(out) as writer, open_shard(folder / "pick.h5") as shard:
-        assert writer.adopt(shard, shard.names[:2]) > 0
-        with pytest.raises(UsageError, match="already; nothing was written"):
-            writer.adopt(shard, shard.names)
-    assert check(out).ok == 2
 
 
 @pytest.mark.parametrize("by", ["episode", "home", "target"])

@@ -15,7 +15,7 @@ import pytest
 from mjhab.cli.main import main
 from mjhab.core.action_notes import ActionNotes
 from mjhab.core.errors import UsageError
-from mjhab.data.export.lerobot.pieces import FilmTools
+from mjhab.data.export.lerobot.parts import FilmTools
 from mjhab.data.record.recorder import Recorder
 from mjhab.data.select.dataset import Normalization, Window, WindowDataset
 from mjhab.data.select.sets import merge

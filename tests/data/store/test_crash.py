@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import contextlib
 import errno
-import io
 import os
 import random
+import shutil
 import signal
 import time
 from collections.abc import Callable
@@ -14,20 +13,28 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 import h5py
-import numpy as np
 import pytest
 
 from mjhab.core.errors import UsageError
 from mjhab.core.files.locking import is_written, lock_path
-from mjhab.data.store import journal as jn
+from mjhab.data.select.sets import select
+from mjhab.data.store import hdf5
 from mjhab.data.store.checking import check, repair
 from mjhab.data.store.episode_data import EpisodeData
+from mjhab.data.store.episode_files import INDEX, EpisodeFiles, part_folder
 from mjhab.data.store.hdf5 import dataset, group
-from mjhab.data.store.journal import Overlay, journal_path
+from mjhab.data.store.older_journal import journal_path
+from mjhab.data.store.packing import pack
+from mjhab.data.store.places import episodes
 from mjhab.data.store.reading import open_shard
 from mjhab.data.store.schema import DamagedError
-from mjhab.data.store.shard import ShardWriter, StorageError
+from mjhab.data.store.shard import ShardWriter
+from mjhab.data.store.storage import StorageError
 from tests.data.make import numbered, one_episode, record
+
+KILLED = Path(__file__).parent / "killed"
+"""A shard of one episode, and the journal of the second one, whose writer (mjhab 0.1) was killed before it applied it.
+"""
 
 
 @pytest.fixture(scope="module")
@@ -41,27 +48,34 @@ class Killed(BaseException):
 
 
 def die_at(monkeypatch: pytest.MonkeyPatch, when: int) -> Callable[[], int]:
-    """Let the ``when``-th change of a file end the writer, after half of it if it is a write; returns a counter."""
+    """Let the ``when``-th change of a file end the writer, before or after it; returns a counter."""
     count = 0
 
-    def wrap(name: str) -> None:
-        real = getattr(os, name)
+    def wrap(owner: Any, name: str) -> None:
+        real = getattr(owner, name)
 
-        def call(*args: Any) -> Any:
+        def call(*args: Any, **options: Any) -> Any:
             nonlocal count
             count += 1
             if count > when:
                 raise Killed
             if count == when:
-                if name == "pwrite":
-                    real(args[0], bytes(args[1])[: len(args[1]) // 2], args[2])
+                if when % 2:
+                    real(*args, **options)
                 raise Killed
-            return real(*args)
+            return real(*args, **options)
 
-        monkeypatch.setattr(jn.os, name, call)
+        monkeypatch.setattr(owner, name, call)
 
-    for name in ("pwrite", "fsync", "ftruncate", "truncate", "unlink"):
-        wrap(name)
+    for owner, name in (
+        (os, "fsync"),
+        (os, "replace"),
+        (os, "unlink"),
+        (os, "rmdir"),
+        (os, "write"),
+        (os, "mkdir"),
+    ):
+        wrap(owner, name)
     return lambda: count
 
 
@@ -70,7 +84,7 @@ def test_a_kill_between_any_two_steps_loses_at_most_the_last_episode(
 ) -> None:
     outcomes = set()
     for when in range(1, 100):
-        path = tmp_path / f"{when}.h5"
+        path = tmp_path / str(when) / "a.h5"
         with ShardWriter(path) as writer:
             writer.append(numbered(template, 0))
             writer.append(numbered(template, 1))
@@ -79,29 +93,23 @@ def test_a_kill_between_any_two_steps_loses_at_most_the_last_episode(
             done = die_at(patch, when)
             try:
                 writer.append(numbered(template, 2))
+                writer.close()
                 finished = True
             except Killed:
                 finished = False
-        writer.close()
-        with open_shard(path) as shard:
-            seen = len(shard)
+        writer._release()
+        seen = len(list(episodes(path)))
+        assert len(select(path).matched) == len(select(path.parent).matched) == seen
         report = check(path)
-        assert (
-            report.clean
-            and report.ok == seen
-            and seen in (2, 3)
-            and (seen == 3 or not finished)
-        )
+        assert report.clean and report.ok == seen and seen in (2, 3)
+        assert seen == 3 or not finished
         with ShardWriter(path) as again:
             assert len(again.names) == seen
             if seen == 2:
                 again.append(numbered(template, 2))
             again.append(numbered(template, 3))
-        assert (
-            check(path).ok == 4
-            and not journal_path(path).exists()
-            and not lock_path(path).exists()
-        )
+        assert check(path).ok == 4 and not part_folder(path).exists()
+        assert not lock_path(path).exists()
         outcomes.add((seen, finished))
         if finished:
             assert done() < when
@@ -109,40 +117,31 @@ def test_a_kill_between_any_two_steps_loses_at_most_the_last_episode(
     assert outcomes == {(2, False), (3, False), (3, True)} and when > 8
 
 
-def test_a_kill_during_recovery_is_recovered_from(
+def test_a_kill_while_packing_loses_nothing(
     tmp_path: Path, template: EpisodeData, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    path = tmp_path / "a.h5"
-    with ShardWriter(path) as writer:
-        writer.append(numbered(template, 0))
-    whole = None
-    for when in range(1, 40):
-        writer = ShardWriter(path)
-        before = path.read_bytes()
-        with monkeypatch.context() as patch:
-            die_at(patch, when)
-            with pytest.raises(Killed):
-                writer.append(numbered(template, 1))
-        writer.close()
-        if jn.read_journal(path) is not None:
-            whole = path.read_bytes(), journal_path(path).read_bytes()
-            break
-        journal_path(path).unlink(missing_ok=True)
-        path.write_bytes(before)
-    assert whole is not None
-    for when in range(1, 40):
-        path.write_bytes(whole[0])
-        journal_path(path).write_bytes(whole[1])
+    for when in range(1, 100):
+        folder = tmp_path / str(when)
+        files = EpisodeFiles(folder / "episodes")
+        for index in range(4):
+            files.append(numbered(template, index))
         with monkeypatch.context() as patch:
             done = die_at(patch, when)
-            with contextlib.suppress(Killed):
-                jn.recover(path)
-        with ShardWriter(path) as writer:
-            assert len(writer.names) == 2
-        assert check(path).clean
-        if done() < when:
+            try:
+                pack(folder, 0.05)
+                finished = True
+            except Killed:
+                finished = False
+        assert len(select(folder).matched) == check(folder).ok == 4
+        assert check(folder).clean
+        if finished:
+            assert done() < when
             break
-    assert 3 < when < 39
+        if files.folder.is_dir():
+            pack(folder, 0.05)
+        assert len(list(folder.glob("shard_*.h5"))) == 2 and not files.folder.is_dir()
+        assert check(folder).ok == 4
+    assert 10 < when < 99
 
 
 def test_real_kills_at_random_moments(tmp_path: Path, template: EpisodeData) -> None:
@@ -165,51 +164,45 @@ def test_real_kills_at_random_moments(tmp_path: Path, template: EpisodeData) -> 
         told = count + len(waited) + len(os.read(read, 1 << 16))
         os.close(read)
         assert not is_written(path)
-        with open_shard(path) as shard:
-            count = len(shard)
+        count = len(list(episodes(path))) if part_folder(path).is_dir() else 0
         # The child speaks after its episode is on the disk: one more may be, never one less.
         assert count in (told, told + 1)
     report = check(path)
     assert report.clean and report.ok == count > 10
+    assert len(select(path).matched) == count
     with ShardWriter(path) as writer:
         assert sorted(writer.names) == [
             template.run.episode_name(0, i) for i in range(count)
         ]
+    assert [p.name for p in tmp_path.iterdir()] == ["a.h5"]
 
 
 def _write_until_killed(path: Path, template: EpisodeData, pipe: int) -> NoReturn:
     try:
-        with ShardWriter(path) as writer:
-            index = len(writer.names)
-            os.write(pipe, b".")
-            while True:
-                writer.append(numbered(template, index))
-                os.write(pipe, b"e")
-                index += 1
+        writer = ShardWriter(path)
+        index = len(writer.names)
+        os.write(pipe, b".")
+        while True:
+            writer.append(numbered(template, index))
+            os.write(pipe, b"e")
+            index += 1
     finally:
         os._exit(1)
 
 
-@pytest.mark.parametrize("fails", range(1, 4))
+def full(*_: Any) -> Any:
+    raise OSError(errno.ENOSPC, "No space left on device")
+
+
+@pytest.mark.parametrize("fails", [1, 2, 3, 20])
 def test_a_full_disk_stops_cleanly_and_the_next_run_goes_on(
     tmp_path: Path, template: EpisodeData, monkeypatch: pytest.MonkeyPatch, fails: int
 ) -> None:
     path = tmp_path / "a.h5"
     with ShardWriter(path) as writer:
         writer.append(numbered(template, 0))
-        count = 0
-        real = os.pwrite
-
-        def full(*args: Any) -> int:
-            nonlocal count
-            count += 1
-            if count == fails:
-                real(args[0], bytes(args[1])[:10], args[2])
-                raise OSError(errno.ENOSPC, "No space left on device")
-            return real(*args)
-
         with monkeypatch.context() as patch:
-            patch.setattr(jn.os, "pwrite", full)
+            patch.setattr(hdf5.io, "FileIO", small_disk(fails))
             with pytest.raises(
                 StorageError,
                 match=r"disk is full.*same command again.*finished before is safe",
@@ -217,23 +210,40 @@ def test_a_full_disk_stops_cleanly_and_the_next_run_goes_on(
                 writer.append(numbered(template, 1))
         with pytest.raises(UsageError, match="has been closed"):
             writer.append(numbered(template, 2))
-    assert check(path).clean
+    assert check(path).clean and check(path).ok == 1
     with ShardWriter(path) as again:
-        if not again.has(template.run, 0, 1):
-            again.append(numbered(template, 1))
+        again.append(numbered(template, 1))
         again.append(numbered(template, 2))
-    assert check(path).ok == 3
+        with monkeypatch.context() as patch:
+            patch.setattr(hdf5.io, "FileIO", small_disk(fails))
+            with pytest.raises(StorageError, match="disk is full"):
+                again.close()
+    assert check(path).ok == 3 and not path.exists()
+    with ShardWriter(path):
+        pass
+    assert check(path).ok == 3 and [p.name for p in tmp_path.iterdir()] == ["a.h5"]
+
+
+def small_disk(writes: int) -> type[hdf5.io.FileIO]:
+    """Files of a disk that is full from the write of that number on."""
+
+    class File(hdf5.io.FileIO):
+        left = writes
+
+        def write(self, data: Any) -> int:
+            File.left -= 1
+            return super().write(data) if File.left > 0 else full()
+
+    return File
 
 
 def test_a_full_disk_when_a_shard_is_made(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def full(_: int) -> None:
-        raise OSError(errno.ENOSPC, "No space left on device")
-
+    writer = ShardWriter(tmp_path / "a.h5")
     monkeypatch.setattr(os, "fsync", full)
     with pytest.raises(StorageError, match="disk is full"):
-        ShardWriter(tmp_path / "a.h5")
+        writer.close()
     assert list(tmp_path.iterdir()) == []
 
 
@@ -261,10 +271,9 @@ def test_two_writers(tmp_path: Path, template: EpisodeData) -> None:
             os._exit(1)
         assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 7
         writer.append(numbered(template, 0))
-        assert is_written(path)
-        with open_shard(path) as shard:
-            assert len(shard) == 1
-            writer.append(numbered(template, 1))
+        assert is_written(path) and len(list(episodes(path))) == 1
+        writer.append(numbered(template, 1))
+        assert len(list(episodes(path))) == 2 and not check(path).unfinished
         with pytest.raises(UsageError, match="already; nothing was written"):
             writer.append(numbered(template, 1))
     with ShardWriter(path) as writer:
@@ -272,77 +281,42 @@ def test_two_writers(tmp_path: Path, template: EpisodeData) -> None:
     assert sorted(p.name for p in tmp_path.iterdir()) == ["a.h5"]
 
 
+def test_what_a_killed_writer_of_an_older_version_left_is_finished(
+    tmp_path: Path,
+) -> None:
+    for finish in (repair, lambda path: ShardWriter(path).close()):
+        folder = Path(shutil.copytree(KILLED, tmp_path / "killed"))
+        path = folder / "killed.h5"
+        with pytest.raises(DamagedError, match=r"did not finish.*mjhab data repair"):
+            open_shard(path)
+        assert check(path).unfinished == [path]
+        finish(path)
+        assert not journal_path(path).exists() and check(path).ok == 2
+        shutil.rmtree(folder)
+
+
+def test_a_torn_journal_of_an_older_version_is_dropped(tmp_path: Path) -> None:
+    path = Path(shutil.copytree(KILLED, tmp_path / "killed")) / "killed.h5"
+    os.truncate(journal_path(path), 3000)
+    done = repair(path)
+    assert done.finished and done.kept == check(path).ok == 1
+    assert not journal_path(path).exists()
+
+
 def test_a_journal_of_another_file_is_not_applied(
     tmp_path: Path, template: EpisodeData
 ) -> None:
-    path = tmp_path / "a.h5"
-    with ShardWriter(path) as writer:
-        writer.append(numbered(template, 0))
-    fd = os.open(path, os.O_RDONLY)
-    overlay = Overlay(fd, path.stat().st_size)
-    overlay.seek(5000)
-    overlay.write(b"changed")
-    body = jn._pack(fd, overlay)
-    os.close(fd)
-    path.unlink()
+    path = tmp_path / "killed.h5"
     with ShardWriter(path) as writer:
         writer.append(numbered(template, 1))
-    journal_path(path).write_bytes(body)
+    shutil.copy(journal_path(KILLED / "killed.h5"), journal_path(path))
     before = path.read_bytes()
-    for act in (open_shard, ShardWriter, repair):
+    for act in (ShardWriter, repair):
         with pytest.raises(
-            DamagedError, match=r"does not belong to a.h5.*delete the journal"
+            DamagedError, match=r"does not belong to killed.h5.*delete the journal"
         ):
             act(path)
     assert path.read_bytes() == before and not lock_path(path).exists()
-
-
-def test_overlay_is_a_file(tmp_path: Path) -> None:
-    rng = np.random.default_rng(0)
-    path = tmp_path / "f"
-    path.write_bytes(rng.bytes(20_000))
-    fd = os.open(path, os.O_RDONLY)
-    overlay = Overlay(fd, 20_000)
-    model = io.BytesIO(path.read_bytes())
-    for _ in range(300):
-        at = int(rng.integers(0, 30_000))
-        size = int(rng.integers(0, 9_000))
-        overlay.seek(at)
-        model.seek(at)
-        if rng.random() < 0.5:
-            data = rng.bytes(size)
-            assert overlay.write(data) == model.write(data)
-        else:
-            got = bytearray(size)
-            assert bytes(got[: overlay.readinto(got)]) == model.read(size)
-        assert overlay.tell() == model.tell() and overlay.seek(0, os.SEEK_END) == len(
-            model.getvalue()
-        )
-    assert overlay.truncate(25_000) == 25_000
-    model.truncate(25_000)
-    overlay.seek(0)
-    assert overlay.read() == model.getvalue()[:25_000]
-    os.close(fd)
-
-
-def test_overlay_reads_beside_a_short_page(tmp_path: Path) -> None:
-    path = tmp_path / "f"
-    path.write_bytes(bytes(range(256)) * 64)
-    fd = os.open(path, os.O_RDONLY)
-    overlay = Overlay(fd, 16_384, {2: b"x" * 100})
-    expected = bytearray(path.read_bytes())
-    expected[8192:8292] = b"x" * 100
-    for at, size in (
-        (8192, 50),
-        (8250, 100),
-        (8300, 100),
-        (9000, 3000),
-        (0, 16_384),
-        (16_384, 5),
-    ):
-        overlay.seek(at)
-        assert overlay.read(size) == bytes(expected[at : at + size])
-    os.close(fd)
 
 
 def test_plain_h5py_reads_a_shard(tmp_path: Path) -> None:
@@ -360,3 +334,41 @@ def test_plain_h5py_reads_a_shard(tmp_path: Path) -> None:
         assert str(dataset(episode, "signals/checks").attrs["columns"]).startswith(
             "b'is_grasped,"
         )
+
+
+def test_the_table_may_be_torn_old_or_absent(
+    tmp_path: Path, template: EpisodeData
+) -> None:
+    """The files are the truth: what the table does not know, or knows otherwise, is read from them."""
+    files = EpisodeFiles(tmp_path / "set" / "episodes")
+    for index in range(3):
+        files.append(numbered(template, index))
+    table = files.folder / INDEX
+    whole = table.read_bytes()
+    wanted = select(tmp_path)
+    assert len(wanted.matched) == 3
+    for content in (None, b"", whole[:-20], b"\xff\n{}\n[]\nnull\n" + whole, whole[:100]):
+        if content is None:
+            table.unlink()
+        else:
+            table.write_bytes(content)
+        assert select(tmp_path) == wanted
+        assert select(tmp_path) == wanted
+        lines = table.read_bytes().splitlines()
+        assert len(lines) >= 4 and {*whole.splitlines()} <= {*lines}
+    name = sorted(files.names)[1]
+    files.path_of(name).unlink()
+    assert [one for _, one in select(tmp_path).matched] == sorted(files.names - {name})
+    files.path_of(sorted(files.names)[0]).write_bytes(b"no episode")
+    with pytest.raises(DamagedError, match="not an HDF5 file"):
+        select(tmp_path)
+
+
+def test_a_set_that_may_only_be_read_needs_no_table(
+    tmp_path: Path, template: EpisodeData, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    files = EpisodeFiles(tmp_path / "episodes")
+    files.append(numbered(template, 0))
+    (files.folder / INDEX).unlink()
+    monkeypatch.setattr("mjhab.data.store.episode_files.write_atomic", full)
+    assert len(select(tmp_path).matched) == 1 and not (files.folder / INDEX).exists()

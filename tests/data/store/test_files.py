@@ -12,9 +12,11 @@ import numpy as np
 import pytest
 
 from mjhab.core.errors import UsageError
+from mjhab.data.select.sets import select
 from mjhab.data.store.checking import check, repair
 from mjhab.data.store.damage import episode_problems
 from mjhab.data.store.episode_data import episode_digest, from_bytes, run_id, to_bytes
+from mjhab.data.store.episode_files import EpisodeFiles
 from mjhab.data.store.hdf5 import dataset, group, read_arrays
 from mjhab.data.store.images import ImageFormat
 from mjhab.data.store.places import episodes, shard_paths
@@ -32,7 +34,7 @@ from mjhab.data.store.shard import ShardWriter
 from mjhab.tasks.labelling.state import History
 from mjhab.tasks.signals import Signals
 from tests.data.fake_world import FakeEnv
-from tests.data.make import record
+from tests.data.make import numbered, one_episode, record
 
 DOCS = Path(__file__).parents[3] / "docs" / "data" / "format.md"
 
@@ -47,6 +49,12 @@ def spoil(path: Path, data: str) -> str:
     """Turn a byte of a dataset of the second episode; returns the name of that episode."""
     with h5py.File(path) as file:
         name = sorted(group(file, "episodes"))[1]
+    return spoil_in(path, name, data)
+
+
+def spoil_in(path: Path, name: str, data: str) -> str:
+    """Turn a byte of a dataset of an episode; returns the name of the episode."""
+    with h5py.File(path) as file:
         item = dataset(file, f"episodes/{name}/{data}")
         at = item.id.get_chunk_info(0).byte_offset + item.id.get_storage_size() // 2
     with open(path, "r+b") as raw:
@@ -188,27 +196,27 @@ def test_a_rotten_byte_is_found_and_the_rest_is_saved(shard: Path, data: str) ->
 def test_a_cut_file(shard: Path) -> None:
     size = shard.stat().st_size
     os.truncate(shard, size - 3000)
-    with pytest.raises(
-        DamagedError,
-        match=r"cannot be read: it is cut off, [\d,]+ of its [\d,]+ bytes.*data repair",
-    ):
-        open_shard(shard)
+    message = r"cannot be read: it is cut off, [\d,]+ of its [\d,]+ bytes.*Copy it again"
+    for act in (open_shard, repair, ShardWriter):
+        with pytest.raises(DamagedError, match=message):
+            act(shard)
     report = check(shard)
     assert list(report.unreadable) == [shard] and not report.clean
-    done = repair(shard)
-    assert (
-        1 <= done.kept < 4
-        and done.kept_as is not None
-        and done.kept_as.stat().st_size == size - 3000
-    )
-    assert check(shard).ok == done.kept
-    os.truncate(shard, 200)
-    with pytest.raises(
-        DamagedError,
-        match=r"no episode in .*/a.h5 can be read; the file was left as it is",
-    ):
-        repair(shard)
-    assert shard.stat().st_size == 200
+    assert shard.stat().st_size == size - 3000
+
+
+def test_a_damaged_episode_file_is_put_aside(tmp_path: Path) -> None:
+    files = EpisodeFiles(tmp_path / "episodes")
+    template = one_episode(tmp_path / "one")
+    for index in range(3):
+        files.append(numbered(template, index))
+    path = files.path_of(sorted(files.names)[1])
+    name = spoil_in(path, path.stem, "states/qpos")
+    assert list(check(files.folder).damaged) == [(path, name)]
+    done = repair(path)
+    assert done.kept == 0 and list(done.lost) == [name]
+    assert done.kept_as == path.with_name(f"{path.name}.damaged") and not path.exists()
+    assert check(files.folder).ok == len(select(files.folder).matched) == 2
 
 
 def test_bytes_turned_anywhere_never_pass_unseen(tmp_path: Path) -> None:

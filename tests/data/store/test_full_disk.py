@@ -10,15 +10,16 @@ from typing import Any
 import pyarrow.parquet as pq
 import pytest
 
-from mjhab.data.export.lerobot.pieces import FilmTools
+from mjhab.data.export.lerobot.parts import FilmTools
 from mjhab.data.select.sets import split
-from mjhab.data.store import hdf5, journal
+from mjhab.data.store import hdf5
 from mjhab.data.store.images import ImageFormat
-from mjhab.data.store.shard import StorageError
+from mjhab.data.store.storage import StorageError
 from mjhab.render.film import FilmWriter, join_films
 from tests.data.export.exporting import to_lerobot, to_maniskill
 from tests.data.fake_world import FakeEnv
 from tests.data.make import record
+from tests.data.store.test_crash import small_disk
 
 ANEW = "the disk is full. Nothing was left behind; free some space and run the same command again"
 RESUME = "the disk is full. Finished parts are kept; free some space and run the same command with --resume"
@@ -74,24 +75,17 @@ def check(write: Write, source: Path, out: Path, monkeypatch: pytest.MonkeyPatch
     assert not [path for path in out.parent.rglob(".*")]
 
 
-@pytest.mark.parametrize("calls", [0, 1, 3, 5])
+@pytest.mark.parametrize("writes", [1, 2, 20])
 @pytest.mark.parametrize("write", [maniskill, parts])
 def test_hdf5(
     source: Path,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     write: Write,
-    calls: int,
+    writes: int,
 ) -> None:
-    monkeypatch.setattr(journal, "_write", full_after(calls, journal._write))
+    monkeypatch.setattr(hdf5.io, "FileIO", small_disk(writes))
     check(write, source, tmp_path / "out", monkeypatch)
-
-
-def test_no_room_for_an_empty_file(
-    source: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(hdf5.os, "fsync", full_after(0, hdf5.os.fsync))
-    check(maniskill, source, tmp_path / "out", monkeypatch)
 
 
 def test_tables(source: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,7 +1,7 @@
 """A shard of each schema version, written by the version of mjhab that had it, is read as one of today.
 
 ``shards/schema_N.h5`` holds two episodes of eight steps of Pick by a random policy: schema 1 a bowl in profile mjhab,
-schemas 2 and 3 a sugar box, whose scan has a heading, in profile ms_hab. A new schema version adds one.
+schemas 2 to 4 a sugar box, whose scan has a heading, in profile ms_hab. A new schema version adds one.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from mjhab.core.conventions.names import OBJECT_AXES, SCAN_AXES
-from mjhab.data.export.lerobot.pieces import FilmTools
+from mjhab.data.export.lerobot.parts import FilmTools
 from mjhab.data.select.dataset import WindowDataset
 from mjhab.data.select.query import Filter
 from mjhab.data.select.relabel import relabel_shards

@@ -28,10 +28,10 @@ from mjhab.config.profile_choice import profile_options, resolved_profile
 from mjhab.core.errors import MjhabError
 from mjhab.core.files.run_folder import REPORT, RunFolder, write_text
 from mjhab.core.machine import cores
-from mjhab.data.record.generation import Standing
+from mjhab.data.record.job import Standing
 from mjhab.data.record.provenance import source_commit, versions
 from mjhab.data.store.places import episodes as recorded_episodes
-from mjhab.data.store.shard import StorageError
+from mjhab.data.store.storage import StorageError
 from mjhab.evaluation.generate import GenerateSpec, run_generation
 
 RESULTS = "results.json"
@@ -145,7 +145,7 @@ def measure_row(
 def read_row(spec: ExpertsSpec, row: Row) -> list[MeasuredEpisode]:
     """Episodes of a row that are recorded, of those that are wanted, in order of their indices."""
     folder = row_folder(spec.out, row)
-    if not any(folder.glob("*.h5")):
+    if not any(folder.rglob("*.h5")):
         return []
     found = {
         e.record.index: MeasuredEpisode.of(e.record) for e in recorded_episodes(folder)

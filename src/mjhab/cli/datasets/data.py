@@ -10,6 +10,7 @@ from mjhab.cli.options.datasets.data import (
     DataFieldsOptions,
     DataImportOptions,
     DataMergeOptions,
+    DataPackOptions,
     DataQueryOptions,
     DataRepairOptions,
     DataReportOptions,
@@ -21,14 +22,15 @@ from mjhab.core.errors import UsageError, unknown_name
 from mjhab.core.files.cache import write_atomic
 from mjhab.core.files.outputs import check_file
 from mjhab.core.progress import late_bar, progress_bar
-from mjhab.data.export.folders import broken
 from mjhab.data.imports.ms_hab import ABSENT, Origin, import_ms_hab
 from mjhab.data.select.facts import FUNCTIONS, facts, target_of
 from mjhab.data.select.query import PRESETS, read_filter
 from mjhab.data.select.sets import GROUPINGS, merge, select, split, stats
 from mjhab.data.store.checking import Repair, check, repair
+from mjhab.data.store.packing import pack
 from mjhab.data.store.places import shard_paths
 from mjhab.data.store.schema import VERSION
+from mjhab.data.store.storage import broken
 from mjhab.evaluation.datasets.label import run_label
 from mjhab.evaluation.datasets.specs import LabelSpec
 from mjhab.rollout.records import EpisodeRecord
@@ -45,6 +47,7 @@ def run_data(options: Any) -> int:
         DataStatsOptions: _stats,
         DataMergeOptions: _merge,
         DataSplitOptions: _split,
+        DataPackOptions: _pack,
         DataCheckOptions: _check,
         DataRepairOptions: _repair,
         DataFieldsOptions: _fields,
@@ -211,6 +214,21 @@ def _parts(words: tuple[str, ...]) -> dict[str, float]:
     return parts
 
 
+def _pack(options: DataPackOptions) -> int:
+    at_least("shard-mb", options.shard_mb, 1)
+    if not options.folders:
+        raise UsageError("name the folders to pack, as in: mjhab data pack runs/pick")
+    done = [pack(folder, options.shard_mb) for folder in options.folders]
+    episodes = sum(each.episodes for each in done)
+    shards = sum(len(each.shards) for each in done)
+    size = sum(each.bytes for each in done)
+    if options.json:
+        print_json({"episodes": episodes, "shards": shards, "bytes": size})
+    else:
+        print(f"{episodes} episodes packed into {shards} shards, {size:,} bytes")
+    return 0
+
+
 def _import(options: DataImportOptions) -> int:
     if options.format not in IMPORTS:
         raise unknown_name("format", options.format, IMPORTS)
@@ -278,7 +296,7 @@ def _check(options: DataCheckOptions) -> int:
         )
     for path in report.unfinished:
         print(
-            f"{path}: a writer was stopped within an episode; the next writer, or repair, completes the file"
+            f"{path}: a writer was stopped; the next writer, or repair, completes the file"
         )
     for name in report.doubled[:_MOST_ROWS]:
         print(f"episode {name} occurs more than once")
@@ -297,7 +315,6 @@ def _repair(options: DataRepairOptions) -> int:
     done = [repair(path) for path in shard_paths(options.places)]
     kept = sum(r.kept for r in done)
     lost = sum(len(r.lost) for r in done)
-    indexed = all(r.indexed for r in done)
     if options.json:
         aside = [str(r.kept_as) for r in done if r.kept_as]
         finished = sum(r.finished for r in done)
@@ -307,34 +324,22 @@ def _repair(options: DataRepairOptions) -> int:
                 "lost": lost,
                 "finished": finished,
                 "damaged_files": aside,
-                "indexed": indexed,
+                # A file whose index is damaged is refused since schema 4.
+                "indexed": True,
             }
         )
         return 0
     for each in done:
         print(_repaired(each))
-    more = (
-        ""
-        if indexed
-        else "; how many more are lost is unknown, because an index is damaged"
-    )
-    print(f"{kept} episodes kept, {lost} lost{more}")
+    print(f"{kept} episodes kept, {lost} lost")
     return 0
 
 
 def _repaired(done: Repair) -> str:
     if done.kept_as is not None:
-        lost = (
-            f"{len(done.lost)} lost"
-            if done.indexed
-            else f"at least {len(done.lost)} lost (its index is damaged)"
-        )
+        lost = f"{len(done.lost)} lost"
         return f"{done.path}: {done.kept} episodes saved, {lost}; the damaged file is {done.kept_as}"
-    what = (
-        "an interrupted write was completed or undone"
-        if done.finished
-        else "nothing to do"
-    )
+    what = "an interrupted write was completed" if done.finished else "nothing to do"
     return f"{done.path}: {done.kept} episodes, {what}"
 
 

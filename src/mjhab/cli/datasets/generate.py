@@ -20,7 +20,7 @@ from mjhab.cli.output import (
     tell_skipped,
 )
 from mjhab.core.files.interrupts import stop_signals
-from mjhab.data.record.generation import Standing
+from mjhab.data.record.job import Standing
 from mjhab.evaluation.generate import GeneratedData, run_generation
 from mjhab.evaluation.specs import GenerateSpec
 

@@ -6,8 +6,7 @@ import math
 
 from mjhab.cli.output import print_json, print_table
 from mjhab.core.progress import progress_bar
-from mjhab.data.store.places import shard_paths
-from mjhab.data.store.reading import open_shard
+from mjhab.data.store.places import entries
 from mjhab.evaluation.datasets.replay import run_rendering, run_verification
 from mjhab.evaluation.datasets.specs import ReplaySpec
 
@@ -73,8 +72,4 @@ def _render(spec: ReplaySpec, json: bool) -> int:
 
 
 def _count(spec: ReplaySpec) -> int:
-    count = 0
-    for path in shard_paths(spec.places):
-        with open_shard(path) as shard:
-            count += len(shard)
-    return count
+    return sum(1 for _ in entries(spec.places, copies=True))

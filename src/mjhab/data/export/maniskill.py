@@ -11,8 +11,8 @@ The ``.json`` lists successful episodes first; "episode_id" is the number of the
 from __future__ import annotations
 
 import json
-import os
-from collections.abc import Callable, Iterator
+from collections import defaultdict
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -26,7 +26,6 @@ from mjhab.core.errors import UsageError
 from mjhab.core.files.reading import read_json_object
 from mjhab.core.names import below
 from mjhab.data.export.conventions import CONVENTIONS
-from mjhab.data.export.folders import Target, whole_folder
 from mjhab.data.export.request import ExportRequest
 from mjhab.data.imports.ms_hab_layout import (
     SOURCE_TYPE,
@@ -41,11 +40,12 @@ from mjhab.data.select.sets import check_outside, nothing_passes, select
 from mjhab.data.select.until import Until
 from mjhab.data.store.damage import refuse_damage
 from mjhab.data.store.episode_data import last_label
-from mjhab.data.store.hdf5 import change_file, make_file
+from mjhab.data.store.hdf5 import drop_unfinished, new_file
 from mjhab.data.store.hdf5 import group as subgroup
-from mjhab.data.store.journal import recover
 from mjhab.data.store.older import OBJECT_POSE
+from mjhab.data.store.places import Place
 from mjhab.data.store.reading import RecordedEpisode, open_shard
+from mjhab.data.store.staging import Target, whole_folder
 from mjhab.rollout.records import EpisodeRecord
 
 CHAIN = "sequential_task"
@@ -87,26 +87,19 @@ def write_maniskill(
     if not found.matched:
         raise nothing_passes()
     after = begin(len(found.matched)) if begin else None
-    without = 0
-    files = dict[Path, _File]()
+    files: dict[Path, list[Place]] = defaultdict(list)
+    for member, record in zip(found.matched, found.records, strict=True):
+        files[place_of(record)].append(member)
     target = Target(request.out, _foreign, request.overwrite, request.resume)
     until = until or Until()
     job = {"format": "maniskill", "episodes": found.fingerprint, "until": until.text}
-    frames = 0
-    with whole_folder(target, job) as filling:
-        for (path, name), record in zip(found.matched, found.records, strict=True):
-            place = place_of(record)
-            if place not in files:
-                files[place] = _File(below(filling.root, place), filling.work, until)
-            with open_shard(path) as shard:
-                episode = shard.episode(name)
-                refuse_damage(episode)
-                frames += files[place].add(episode)
-                without += not any(output == "depth" for _, output in episode.images)
-            if after is not None:
-                after()
-        for file in files.values():
-            file.describe()
+    frames = without = 0
+    with whole_folder(target, job) as staging:
+        for place, members in files.items():
+            file = _File(below(staging.root, place), until)
+            file.write(members, after)
+            frames += file.frames
+            without += file.without_depth
     return ManiSkillSet(
         len(found.matched), frames, tuple(request.out / place for place in files), without
     )
@@ -143,40 +136,50 @@ def _is_exported(path: Path) -> bool:
 
 
 class _File:
-    """A trajectory file that is being written; an unfinished file is continued."""
+    """A trajectory file; one that an interrupted export has finished stays as it is."""
 
-    def __init__(self, path: Path, work: Path, until: Until) -> None:
+    def __init__(self, path: Path, until: Until) -> None:
         self._path = path
         self._until = until
-        path.parent.mkdir(parents=True, exist_ok=True)
-        if path.exists():
-            recover(path)
-        else:
-            make_file(work / path.name, {})
-            os.replace(work / path.name, path)
-        with h5py.File(path, "r", locking=False) as file:
-            self._present = len(file)
         self._episodes: list[dict[str, Any]] = []
         self._runs: dict[str, Any] = {}
+        self.frames = self.without_depth = 0
 
-    def add(self, episode: RecordedEpisode) -> int:
-        """Add an episode as the next trajectory, unless the file has it; returns its number of control steps."""
-        number = len(self._episodes)
-        steps = self._until.steps(episode.array("reward/success"))
-        if number >= self._present:
-            change_file(
-                self._path,
-                lambda file: _put(
-                    file.create_group(f"{TRAJECTORY}{number}", track_order=True),
-                    episode,
-                    steps,
-                ),
-            )
-        self._episodes.append(_episode_info(number, episode, steps))
-        self._runs.setdefault(episode.run.id, vars(episode.run))
-        return steps
+    def write(self, members: Sequence[Place], after: Callable[[], object] | None) -> None:
+        """Write the episodes as trajectories 0, 1, ..., and the JSON file; ``after`` is called after each."""
+        if self._path.exists():
+            self._add_all(members, None, after)
+        else:
+            self._path.parent.mkdir(parents=True, exist_ok=True)
+            drop_unfinished(self._path.parent, self._path.stem)
+            with new_file(self._path, {}) as file:
+                self._add_all(members, file, after)
+        self._describe()
 
-    def describe(self) -> None:
+    def _add_all(
+        self,
+        members: Sequence[Place],
+        file: h5py.File | None,
+        after: Callable[[], object] | None,
+    ) -> None:
+        for number, (path, name) in enumerate(members):
+            with open_shard(path) as shard:
+                episode = shard.episode(name)
+                refuse_damage(episode)
+                steps = self._until.steps(episode.array("reward/success"))
+                if file is not None:
+                    group = file.create_group(f"{TRAJECTORY}{number}", track_order=True)
+                    _put(group, episode, steps)
+                self._episodes.append(_episode_info(number, episode, steps))
+                self._runs.setdefault(episode.run.id, vars(episode.run))
+                self.frames += steps
+                self.without_depth += not any(
+                    output == "depth" for _, output in episode.images
+                )
+            if after is not None:
+                after()
+
+    def _describe(self) -> None:
         """Write the JSON file with the metadata of the trajectories."""
         env = next(iter(self._runs.values()))["config"].get("env", {})
         subtask = env.get("subtask")

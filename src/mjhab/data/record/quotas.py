@@ -55,7 +55,7 @@ class Outcome:
 
 
 @dataclass(frozen=True)
-class Surety:
+class GuaranteedTargets:
     """Targets for which an episode that passes the filter is certainly kept, so that it can be written at once."""
 
     default: bool
@@ -177,7 +177,7 @@ class Quotas:
             del self._waiting[index]
         return decided
 
-    def surety(self, last: int) -> Surety:
+    def guaranteed(self, last: int) -> GuaranteedTargets:
         """Targets for which every open episode up to index ``last`` is kept if it passes."""
         unknown = self._open_below(last + 1)
         default = unknown <= min(self._per_target, self._per_label)
@@ -198,7 +198,7 @@ class Quotas:
             certain = sizes.get((target, None), unknown) <= self._per_target
             if (certain and max(labels, default=unknown) <= self._per_label) != default:
                 others.add(target)
-        return Surety(default, frozenset(others))
+        return GuaranteedTargets(default, frozenset(others))
 
     def _keep(self, outcome: Outcome) -> None:
         for key in _keys(outcome):

@@ -12,7 +12,7 @@ from mjhab.core.errors import MjhabError, UsageError
 from mjhab.data.record.provenance import describe_run, model_hash
 from mjhab.data.record.worlds import RecordedEnv
 from mjhab.data.store.episode_data import EpisodeData, RunInfo, last_label, to_bytes
-from mjhab.data.store.images import ImageFormat, encode
+from mjhab.data.store.images import ImageFormat, encode, stored_frames
 from mjhab.data.store.schema import CHECKS, FORCES
 from mjhab.rollout.records import EpisodeRecord
 from mjhab.rollout.sinks import Sink, StepView
@@ -234,12 +234,7 @@ class _Buffer:
             arrays["reward/terms"] = np.array(
                 [[terms.get(name, 0.0) for name in names] for terms in self._terms]
             )
-        for key, files in self._files.items():
-            arrays[f"images/{key}/bytes"] = np.frombuffer(b"".join(files), np.uint8)
-            arrays[f"images/{key}/ends"] = np.cumsum(
-                [len(file) for file in files], dtype=np.int64
-            )
-        return arrays
+        return arrays | stored_frames(self._files)
 
 
 def signal_rows(signals: Any) -> tuple[np.ndarray, np.ndarray]:

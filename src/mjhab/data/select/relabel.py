@@ -12,7 +12,7 @@ import numpy as np
 from mjhab.data.store.places import shard_paths
 from mjhab.data.store.reading import RecordedEpisode, open_shard
 from mjhab.data.store.schema import DamagedError
-from mjhab.data.store.shard import ShardWriter
+from mjhab.data.store.shard import rewrite
 from mjhab.rollout.records import EpisodeRecord, Event, SubtaskRecord
 from mjhab.tasks.labelling.events import event_names, step_events
 from mjhab.tasks.labelling.labels import label_history, label_names
@@ -78,8 +78,7 @@ def relabel_shards(places: Path | Sequence[Path], write: bool = False) -> Relabe
                 if changed:
                     new[episode.name] = record
         if write and new:
-            with ShardWriter(path) as writer:
-                writer.replace_records(new)
+            rewrite(path, new)
     return Relabelled(episodes, subtasks, tuple(changes), skipped)
 
 

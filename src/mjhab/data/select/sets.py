@@ -6,6 +6,7 @@ import hashlib
 import os
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -14,36 +15,36 @@ import numpy as np
 
 from mjhab.core.arithmetic.sums import ordered_sum
 from mjhab.core.errors import UsageError
+from mjhab.core.files.locking import WriteLock
 from mjhab.core.names import below, check_name
-from mjhab.data.export.folders import broken
 from mjhab.data.select.facts import target_of
 from mjhab.data.select.query import Filter
-from mjhab.data.store.journal import journal_path
-from mjhab.data.store.places import episodes, shard_paths
-from mjhab.data.store.reading import RecordedEpisode, open_shard
-from mjhab.data.store.shard import ShardWriter, StorageError
+from mjhab.data.store.episode_data import RunInfo
+from mjhab.data.store.episode_files import EpisodeEntry
+from mjhab.data.store.places import Place, entries, shard_paths
+from mjhab.data.store.storage import broken
+from mjhab.data.store.writing import write_shard
 from mjhab.rollout.records import EpisodeRecord
 
-GROUPINGS: dict[str, Callable[[RecordedEpisode], str]] = {
+GROUPINGS: dict[str, Callable[[EpisodeEntry], str]] = {
     "episode": lambda episode: episode.name,
     "home": lambda episode: episode.record.home,
     "target": lambda episode: target_of(episode.record),
 }
 """Groupings by name: episodes of a group stay together when a data set is split."""
-Place = tuple[Path, str]
-"""Shard and name of an episode."""
 
 
 @dataclass
 class Selection:
     """Episodes that pass a filter.
 
-    matched, records, digests: location, record and content digest of each. of: number of all episodes. tainted: number
-    of episodes that were excluded only because they are tainted.
+    matched, records, runs, digests: location, record, run and content digest of each. of: number of all episodes.
+    tainted: number of episodes that were excluded only because they are tainted.
     """
 
     matched: list[Place] = field(default_factory=list)
     records: list[EpisodeRecord] = field(default_factory=list)
+    runs: list[RunInfo] = field(default_factory=list)
     digests: list[str] = field(default_factory=list)
     of: int = 0
     tainted: int = 0
@@ -80,14 +81,15 @@ def select(
         UsageError, DamagedError: see ``open_shard`` and `places.episodes`.
     """
     found = Selection()
-    for episode in episodes(places, copies):
+    for episode in entries(places, copies):
         found.of += 1
         record = episode.record
         run = episode.run
         if where is None or where(record, run):
-            found.matched.append((episode.shard.path, episode.name))
+            found.matched.append((episode.path, episode.name))
             found.records.append(record)
-            found.digests.append(str(episode.attributes["digest"]))
+            found.runs.append(run)
+            found.digests.append(episode.digest)
         elif record.taint and not where.lets_taint_in and where.holds(record, run):
             found.tainted += 1
     return found
@@ -163,41 +165,51 @@ class Merged:
 
 
 def merge(places: Sequence[Path], out: Path, where: Filter | None = None) -> Merged:
-    """Copy the episodes that pass into one shard, which is made or extended. After an interruption it stays readable.
+    """Copy the episodes that pass into one shard, which is made or extended. After an interruption it is as before.
 
     Raises:
         UsageError: ``out`` is or lies in one of the sources; or an episode occurs twice with different contents.
     """
-    paths = shard_paths(places)
-    if any(path.resolve() == out.resolve() for path in paths):
+    if any(path.resolve() == out.resolve() for path in shard_paths(places)):
         raise UsageError(f"--out {out} is one of the shards to merge; give a new file.")
     check_outside(places, out)
-    found = select(paths, where, copies=True)
-    digests: dict[str, str] = {}
-    if out.exists():
-        with open_shard(out) as shard:
-            digests = {
-                episode.name: str(episode.attributes["digest"]) for episode in shard
-            }
-    repeated = 0
-    with ShardWriter(out) as writer:
-        for path, names in _by_shard(found.matched):
-            with open_shard(path) as shard:
-                new = []
-                for name in names:
-                    digest = str(shard.episode(name).attributes["digest"])
-                    known = digests.setdefault(name, digest)
-                    if known != digest:
-                        raise UsageError(
-                            f"episode {name} of {path} differs from one of the same config, seed and index that was "
-                            "merged before it; leave one of the two sources out."
-                        )
-                    if name in writer.names or name in new:
-                        repeated += 1
-                    else:
-                        new.append(name)
-                writer.adopt(shard, new)
-    return Merged(len(found.matched) - repeated, found.of - len(found.matched), repeated)
+    found = select(places, where, copies=True)
+    present = {e.name: e.digest for e in entries(out)} if out.exists() else {}
+    digests = dict(present)
+    new: list[Place] = []
+    for (path, name), digest in zip(found.matched, found.digests, strict=True):
+        known = digests.get(name)
+        if known is None:
+            digests[name] = digest
+            new.append((path, name))
+        elif known != digest:
+            raise UsageError(
+                f"episode {name} of {path} differs from one of the same config, seed and index that was "
+                "merged before it; leave one of the two sources out."
+            )
+    with _writing(out):
+        if new or not present:
+            write_shard(
+                out, {**({out: sorted(present)} if present else {}), **by_file(new)}
+            )
+    repeated = len(found.matched) - len(new)
+    return Merged(len(new), found.of - len(found.matched), repeated)
+
+
+@contextmanager
+def _writing(out: Path) -> Iterator[None]:
+    """Lock a file to write.
+
+    Raises:
+        UsageError: another process writes it.
+        StorageError: the disk is full or broken.
+    """
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        with WriteLock(out):
+            yield
+    except OSError as error:
+        raise broken(out, error) from error
 
 
 def check_outside(places: Path | Sequence[Path], out: Path) -> None:
@@ -244,8 +256,8 @@ def split(
             raise UsageError(f"{path} exists already; give an empty folder as --out.")
     check_outside(places, out)
     groups: dict[str, list[Place]] = defaultdict(list)
-    for episode in episodes(places):
-        groups[GROUPINGS[by](episode)].append((episode.shard.path, episode.name))
+    for episode in entries(places):
+        groups[GROUPINGS[by](episode)].append((episode.path, episode.name))
     dealt = _deal(groups, parts, seed)
     _write_parts({path: dealt[part] for part, path in targets.items()})
     return {part: len(dealt[part]) for part in parts}
@@ -256,24 +268,13 @@ def _write_parts(dealt: Mapping[Path, Sequence[Place]]) -> None:
     hidden = {path: path.with_name(f".{path.name}") for path in dealt}
     try:
         for path, members in dealt.items():
-            _remove(hidden[path])
-            with ShardWriter(hidden[path]) as writer:
-                for source, names in _by_shard(members):
-                    with open_shard(source) as shard:
-                        writer.adopt(shard, names)
+            with _writing(path):
+                write_shard(hidden[path], by_file(members))
         for path in dealt:
             os.replace(hidden[path], path)
-    except StorageError as error:
-        cause = error.__cause__
-        raise broken(path, cause) if isinstance(cause, OSError) else error from cause
     finally:
         for path in hidden.values():
-            _remove(path)
-
-
-def _remove(path: Path) -> None:
-    path.unlink(missing_ok=True)
-    journal_path(path).unlink(missing_ok=True)
+            path.unlink(missing_ok=True)
 
 
 def _deal(
@@ -295,8 +296,9 @@ def _deal(
     return dealt
 
 
-def _by_shard(members: Sequence[Place]) -> Iterator[tuple[Path, list[str]]]:
-    shards: dict[Path, list[str]] = defaultdict(list)
+def by_file(members: Sequence[Place]) -> dict[Path, list[str]]:
+    """Names of episodes by their file."""
+    files: dict[Path, list[str]] = defaultdict(list)
     for path, name in members:
-        shards[path].append(name)
-    yield from shards.items()
+        files[path].append(name)
+    return files

@@ -1,1 +1,1 @@
-"""Storage of episodes on disk: schema, shards, journal, checks, repair."""
+"""Storage of episodes on disk: schema, episode files, shards, checks, repair."""

@@ -3,22 +3,22 @@
 from __future__ import annotations
 
 import os
-import shutil
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from mjhab.core.errors import UsageError
-from mjhab.core.files.cache import write_atomic
 from mjhab.core.files.locking import WriteLock, is_written
 from mjhab.data.store.damage import problems_in
-from mjhab.data.store.journal import committed_length, journal_path, recover
-from mjhab.data.store.places import shard_paths
+from mjhab.data.store.episode_files import is_episode_file, part_folder
+from mjhab.data.store.older_journal import finish_change, journal_path
+from mjhab.data.store.places import is_leftover, shard_paths
 from mjhab.data.store.reading import open_shard
 from mjhab.data.store.schema import DamagedError
-from mjhab.data.store.shard import ShardWriter, StorageError, is_full
-from mjhab.data.store.wreck import Wreck
+from mjhab.data.store.shard import ShardWriter
+from mjhab.data.store.storage import StorageError, reason_of
+from mjhab.data.store.writing import write_shard
 
 
 @dataclass
@@ -26,9 +26,9 @@ class CheckReport:
     """Result of a check.
 
     episodes, ok: numbers of all and of undamaged episodes. damaged: problems by shard and episode. unreadable: errors
-    by shard. unfinished: shards whose writer was killed within an episode; they are not damaged, and the next writer or
-    ``repair`` completes them. doubled: episodes that occur more than once. schemas: number of undamaged episodes by
-    schema version.
+    by shard. unfinished: shards whose writer was killed; they are not damaged, and the next writer or ``repair``
+    completes them. doubled: episodes that occur more than once. schemas: number of undamaged episodes by schema
+    version.
     """
 
     episodes: int = 0
@@ -49,9 +49,8 @@ class CheckReport:
 class Repair:
     """Result of a repair.
 
-    finished: an interrupted commit was completed or undone. kept: number of kept episodes. lost: problems by name of
-    the lost episodes. kept_as: new path of the damaged file, if it was replaced. indexed: the index of episodes could
-    be read; otherwise ``lost`` names only episodes of which a part still exists.
+    finished: what an interrupted writer had left was completed. kept: number of kept episodes. lost: problems by name
+    of the lost episodes. kept_as: new path of the damaged file, if it was replaced.
     """
 
     path: Path
@@ -59,7 +58,6 @@ class Repair:
     kept: int
     lost: dict[str, list[str]]
     kept_as: Path | None
-    indexed: bool = True
 
 
 def check(
@@ -71,15 +69,18 @@ def check(
         UsageError: there is no shard, or one has an unsupported schema version.
     """
     report = CheckReport()
-    seen: Counter[str] = Counter()
+    seen: dict[str, Path] = {}
     for path in shard_paths(places):
-        if journal_path(path).exists() and not is_written(path):
+        if _is_unfinished(path):
             report.unfinished.append(path)
         try:
             with open_shard(path) as shard:
                 for name in shard.names:
+                    first = seen.setdefault(name, path)
+                    if first != path and is_leftover(path, first, name):
+                        continue
                     report.episodes += 1
-                    seen[name] += 1
+                    report.doubled += [] if first == path else [name]
                     wrong = problems_in(shard, name)
                     if wrong:
                         report.damaged[path, name] = wrong
@@ -90,15 +91,20 @@ def check(
         if on_shard is not None:
             on_shard()
     report.ok = report.episodes - len(report.damaged)
-    report.doubled = sorted(name for name, times in seen.items() if times > 1)
+    report.doubled.sort()
     return report
 
 
-def repair(path: Path) -> Repair:
-    """Repair one shard: complete an interrupted write, and drop damaged episodes.
+def _is_unfinished(path: Path) -> bool:
+    """Whether a shard has something beside it that a killed writer left."""
+    left = journal_path(path).exists() or part_folder(path).is_dir()
+    return left and not is_written(path)
 
-    Every intact episode is kept, even if the file is truncated or its index is damaged (see `wreck`). If episodes are
-    dropped, the damaged file is kept with ".damaged" appended to its name.
+
+def repair(path: Path) -> Repair:
+    """Repair one file: complete an interrupted write, and drop damaged episodes.
+
+    If episodes are dropped, the damaged file is kept with ".damaged" appended to its name.
 
     Raises:
         UsageError: another process writes the shard, or its schema version is not supported.
@@ -107,78 +113,43 @@ def repair(path: Path) -> Repair:
     """
     if not path.is_file():
         raise UsageError(f"{path} does not exist or is no file; give a shard (*.h5).")
-    with WriteLock(path):
-        try:
-            pending = journal_path(path).exists()
-            committed_length(path)
-            cut = _is_cut(path)
-            if not cut:
-                recover(path)
-                whole = _count_if_whole(path)
-                if whole is not None:
-                    return Repair(path, pending, whole, {}, None)
-            return _salvage(path, cut)
-        except OSError as error:
-            what = "the disk is full" if is_full(error) else error.strerror or str(error)
-            raise StorageError(
-                f"cannot repair {path}: {what}. The file was left as it is."
-            ) from error
-
-
-def _count_if_whole(path: Path) -> int | None:
-    """Number of episodes of an undamaged shard; None if it is damaged."""
+    pending = _is_unfinished(path)
     try:
-        with open_shard(path) as shard:
-            return (
-                None
-                if any(problems_in(shard, name) for name in shard.names)
-                else len(shard)
-            )
-    except DamagedError:
-        return None
+        if pending:
+            ShardWriter(path).close()
+        with WriteLock(path):
+            # A writer of mjhab 0.1 that was killed early has left bytes behind the end, and no journal.
+            finish_change(path)
+            with open_shard(path) as shard:
+                found = {name: problems_in(shard, name) for name in shard.names}
+            lost = {name: wrong for name, wrong in found.items() if wrong}
+            kept = [name for name in found if name not in lost]
+            if not lost:
+                return Repair(path, pending, len(kept), {}, None)
+            return Repair(path, pending, len(kept), lost, _without(path, kept))
+    except OSError as error:
+        raise StorageError(
+            f"cannot repair {path}: {reason_of(error)}. The file was left as it is."
+        ) from error
 
 
-def _is_cut(path: Path) -> bool:
-    return path.stat().st_size < committed_length(path)
-
-
-def _salvage(path: Path, cut: bool) -> Repair:
+def _without(path: Path, kept: Sequence[str]) -> Path:
+    """Replace a file by one of the episodes ``kept``; returns the new name of the damaged one."""
+    if not kept and not is_episode_file(path):
+        raise DamagedError(
+            f"no episode in {path} can be read; the file was left as it is."
+        )
     aside = _free_name(path)
-    source = path
-    if cut:
-        # HDF5 refuses a truncated file, so a copy is padded with zeros; digests will not match there.
-        source = path.with_name(f".{path.name}.padded")
-        shutil.copyfile(path, source)
-        os.truncate(source, committed_length(path))
-    nothing = DamagedError(
-        f"no episode in {path} can be read; the file was left as it is."
-    )
+    os.link(path, aside)
     try:
-        try:
-            shard = Wreck(source)
-        except DamagedError as error:
-            if not cut:
-                raise
-            raise nothing from error
-        with shard:
-            found = {name: problems_in(shard, name) for name in shard.names}
-            names = [name for name, wrong in found.items() if not wrong]
-            if not names:
-                raise nothing
-
-            def fill(temporary: Path) -> None:
-                with ShardWriter(temporary) as writer:
-                    writer.adopt(shard, names)
-                # The damaged file gets another name before the new one replaces it.
-                os.link(path, aside)
-
-            write_atomic(path, fill)
-    finally:
-        if cut:
-            source.unlink(missing_ok=True)
-    journal_path(path).unlink(missing_ok=True)
-    lost = {name: wrong for name, wrong in found.items() if wrong}
-    return Repair(path, False, len(names), lost, aside, shard.indexed)
+        if kept:
+            write_shard(path, {path: kept})
+        else:
+            path.unlink()
+    except BaseException:
+        aside.unlink()
+        raise
+    return aside
 
 
 def _free_name(path: Path) -> Path:

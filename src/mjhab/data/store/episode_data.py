@@ -209,15 +209,17 @@ def to_bytes(value: Any) -> np.ndarray:
     )
 
 
-def from_bytes(data: np.ndarray) -> Any:
+def from_bytes(data: np.ndarray | bytes) -> Any:
     """Decode the bytes of ``to_bytes``; tuples become lists.
 
     Raises:
         ValueError: the bytes are not JSON.
     """
-    if data.dtype != np.uint8:
-        raise ValueError(f"JSON data are bytes, not {data.dtype}")
-    return parse_json(data.tobytes(), _restore)
+    if isinstance(data, np.ndarray):
+        if data.dtype != np.uint8:
+            raise ValueError(f"JSON data are bytes, not {data.dtype}")
+        data = data.tobytes()
+    return parse_json(data, _restore if _ARRAY.encode() in data else None)
 
 
 def _plain(value: Any) -> Any:

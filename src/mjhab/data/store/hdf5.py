@@ -1,14 +1,13 @@
-"""Helpers for HDF5 files: checking format and schema version, typed access to groups and datasets, atomic changes.
-
-The HDF5 library never writes to the disk itself here: on a full disk it may crash the process.
-"""
+"""Helpers for HDF5 files: whole new files, checking format and schema version, typed access to groups and datasets."""
 
 from __future__ import annotations
 
 import io
 import math
 import os
-from collections.abc import Callable, Mapping, Sequence
+import secrets
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +16,6 @@ import numpy as np
 
 from mjhab.core.errors import UsageError
 from mjhab.core.version import __version__
-from mjhab.data.store.journal import Overlay, commit, committed_length
 from mjhab.data.store.schema import EPISODES, FORMAT, OLDEST, RUNS, VERSION, DamagedError
 
 MAX_UNPACKED_BYTES = 256 << 20
@@ -26,42 +24,149 @@ MAX_UNPACKED_RATIO = 200
 """Compression that larger datasets may have; images, the only large ones, are stored uncompressed."""
 LIBVER = ("v110", "v110")
 """File format of HDF5 1.10 (2016): files are small, and all current readers support it."""
+_SIGNATURE = b"\x89HDF\r\n\x1a\n"
+_END_OF_FILE = 28
+"""Offset of the file's length in a superblock of version 2 or 3 with 8-byte offsets (HDF5 format specification)."""
 
 
-def make_file(
+class _NewFile(io.RawIOBase):
+    """A new file for h5py that keeps a full disk from HDF5, which may crash there: ``error`` is the first failure.
+
+    What cannot be written is dropped from then on; whoever made the file raises the error and deletes it.
+    """
+
+    def __init__(self, path: Path) -> None:
+        super().__init__()
+        self._file = io.FileIO(path, "w+b")
+        self.error: OSError | None = None
+
+    def readable(self) -> bool:
+        """Yes."""
+        return True
+
+    def writable(self) -> bool:
+        """Yes."""
+        return True
+
+    def seekable(self) -> bool:
+        """Yes."""
+        return True
+
+    def seek(self, offset: int, whence: int = os.SEEK_SET) -> int:
+        """Move to an offset [bytes]."""
+        return self._file.seek(offset, whence)
+
+    def readinto(self, buffer) -> int:  # type: ignore[override]
+        """Read into a buffer; what is not there, because the disk was full, are zeros."""
+        view = memoryview(buffer).cast("B")
+        count = self._file.readinto(view) or 0
+        view[count:] = bytes(len(view) - count)
+        return len(view)
+
+    def write(self, data) -> int:  # type: ignore[override]
+        """Write all of the data, unless something could not be written before."""
+        view = memoryview(data).cast("B")
+        done = 0
+        while done < len(view) and self.error is None:
+            with self._noting():
+                done += self._file.write(view[done:])
+        return len(view)
+
+    def truncate(self, size: int | None = None) -> int:
+        """Set the length [bytes]."""
+        with self._noting():
+            self._file.truncate(size)
+        return size or 0
+
+    def sync(self) -> None:
+        """Bring everything to the disk.
+
+        Raises:
+            OSError: something could not be written.
+        """
+        if self.error is None:
+            os.fsync(self._file.fileno())
+        else:
+            raise self.error
+
+    @contextmanager
+    def _noting(self) -> Iterator[None]:
+        try:
+            yield
+        except OSError as error:
+            self.error = error
+
+    def close(self) -> None:
+        """Close the file."""
+        self._file.close()
+        super().close()
+
+
+@contextmanager
+def new_file(
     path: Path, attributes: Mapping[str, Any], groups: Sequence[str] = ()
-) -> None:
-    """Write a new HDF5 file with attributes and empty groups to the disk.
+) -> Iterator[h5py.File]:
+    """Context manager that yields a new HDF5 file beside ``path``, which takes its place at the end.
+
+    A reader, or whoever looks after a kill, sees the old file or the whole new one, never half of one.
 
     Raises:
-        OSError: the disk is full or broken.
+        OSError: the disk is full or broken; nothing has changed.
     """
-    memory = io.BytesIO()
-    with h5py.File(memory, "w", libver=LIBVER) as file:
-        put_attributes(file, attributes)
-        for name in groups:
-            file.create_group(name)
-    with open(path, "wb") as out:
-        out.write(memory.getvalue())
-        out.flush()
-        os.fsync(out.fileno())
-
-
-def change_file(path: Path, fill: Callable[[h5py.File], None]) -> int:
-    """Apply the changes of ``fill`` to a file of `make_file` atomically; returns by how many bytes it has grown.
-
-    Raises:
-        OSError: the disk is full or broken; the file is unchanged.
-    """
-    fd = os.open(path, os.O_RDONLY)
+    temporary = path.with_name(f".{path.stem}-{os.getpid()}-{secrets.token_hex(4)}.h5")
+    raw = _NewFile(temporary)
     try:
-        overlay = Overlay(fd, committed_length(path))
-        with h5py.File(overlay, "r+", libver=LIBVER) as file:
-            fill(file)
-        commit(path, overlay)
+        try:
+            with h5py.File(raw, "w", libver=LIBVER) as file:
+                put_attributes(file, attributes)
+                for name in groups:
+                    file.create_group(name)
+                yield file
+        except (OSError, RuntimeError) as error:
+            if raw.error is None:
+                raise
+            # HDF5 stumbles over what could not be written.
+            raise raw.error from error
+        raw.sync()
+        os.replace(temporary, path)
+        sync_folder(path.parent)
+    finally:
+        raw.close()
+        temporary.unlink(missing_ok=True)
+
+
+def drop_unfinished(folder: Path, stem: str = "*") -> None:
+    """Delete what killed writers had begun of files ``stem``.h5; nobody may be writing them."""
+    for path in folder.glob(f".{stem}-*-*.h5") if folder.is_dir() else ():
+        path.unlink(missing_ok=True)
+
+
+def sync_folder(folder: Path) -> None:
+    """Bring the names of the files in a folder to the disk."""
+    fd = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(fd)
     finally:
         os.close(fd)
-    return len(overlay.tail)
+
+
+def stated_length(path: Path) -> int:
+    """Length of a shard according to its superblock [bytes].
+
+    Raises:
+        DamagedError: it is not an HDF5 file, or mjhab did not write it.
+    """
+    with open(path, "rb") as file:
+        head = file.read(_END_OF_FILE + 8)
+    if head[:8] != _SIGNATURE:
+        raise DamagedError(
+            f"{path} is not an HDF5 file: it does not begin with the signature of one."
+        )
+    if len(head) < _END_OF_FILE + 8 or head[8] not in (2, 3) or head[9] != 8:
+        raise DamagedError(
+            f"{path} is an HDF5 file of a kind that mjhab does not write; give a shard, as `mjhab generate` makes them."
+        )
+    return int.from_bytes(head[_END_OF_FILE:], "little")
 
 
 def put_attributes(item: h5py.Group | h5py.Dataset, values: Mapping[str, Any]) -> None:
@@ -121,7 +226,7 @@ def check_format(file: h5py.File, path: Path) -> int:
     missing = [name for name in (EPISODES, RUNS) if name not in file]
     if missing:
         raise DamagedError(
-            f"{path} has lost its group {missing[0]!r}. Try: mjhab data repair {path}"
+            f"{path} has lost its group {missing[0]!r}. Copy it again from where it came from."
         )
     return version
 

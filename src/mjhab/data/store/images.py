@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import struct
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 
@@ -63,6 +63,16 @@ def encode(image: np.ndarray, output: str, form: ImageFormat) -> bytes:
         file, "PNG", compress_level=_PNG_LEVEL
     )
     return file.getvalue()
+
+
+def stored_frames(files: Mapping[str, Sequence[bytes]]) -> dict[str, np.ndarray]:
+    """Datasets of encoded frames by path; ``files``: the frames of every "<camera>/<output>"."""
+    arrays = {}
+    for key, frames in files.items():
+        arrays[f"images/{key}/bytes"] = np.frombuffer(b"".join(frames), np.uint8)
+        sizes = [len(frame) for frame in frames]
+        arrays[f"images/{key}/ends"] = np.cumsum(sizes, dtype=np.int64)
+    return arrays
 
 
 def decode(data: bytes, output: str) -> np.ndarray:

@@ -18,6 +18,8 @@ POSES: tuple[str, ...] = ("extra/tcp_pose_wrt_base", OBJECT_POSE)
 _POSE_SIZE = 7
 OLDER_SCANNED = "ms_hab"
 """Profile whose observations have been in the axes of the scans since schema 3; older ones are in ours."""
+OLDER_AXES = 2
+"""Last schema version with poses in these axes."""
 OLDER_ROBOT = "fetch"
 """Robot of shards that do not name theirs. Strings of old data: they stay when the robot's code changes."""
 OLDER_JOINTS: tuple[str, ...] = (

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-import os
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
@@ -12,11 +11,9 @@ from typing import Any
 
 import h5py
 import numpy as np
-from h5py import h5r
 
 from mjhab.core.conventions.names import OBJECT_AXES, SCAN_AXES, Conventions
 from mjhab.core.errors import UsageError, unknown_name
-from mjhab.core.files.locking import is_written, quiet
 from mjhab.core.files.reading import parse_json, reason
 from mjhab.core.names import check_name
 from mjhab.data.store.episode_data import (
@@ -32,11 +29,12 @@ from mjhab.data.store.hdf5 import (
     group,
     read_arrays,
     read_attributes,
+    stated_length,
 )
 from mjhab.data.store.images import MAX_FRAME_BYTES, decode
-from mjhab.data.store.journal import Overlay, committed_length, read_journal
 from mjhab.data.store.object_axes import headings
 from mjhab.data.store.older import (
+    OLDER_AXES,
     POSES,
     STAND_INS,
     canonical_poses,
@@ -44,6 +42,7 @@ from mjhab.data.store.older import (
     stand_in,
     turned_poses,
 )
+from mjhab.data.store.older_journal import journal_path
 from mjhab.data.store.schema import (
     ATTRIBUTE_TYPES,
     COLUMNS,
@@ -52,7 +51,6 @@ from mjhab.data.store.schema import (
     NEEDED_ATTRIBUTES,
     RUNS,
     TERMINAL,
-    VERSION,
     DamagedError,
     checks_by_name,
 )
@@ -239,7 +237,7 @@ class RecordedEpisode:
 
     def _as_of_now(self, path: str, array: np.ndarray) -> np.ndarray:
         """Convert a dataset to the present schema."""
-        if self.schema >= VERSION or not path.startswith("obs/"):
+        if self.schema > OLDER_AXES or not path.startswith("obs/"):
             return array
         key = path.removeprefix("obs/")
         if path == "obs/state":
@@ -264,7 +262,7 @@ class RecordedEpisode:
         """
         run = self.run
         told = Conventions.of({**run.config.get("env", {}), **run.options})
-        if self.schema < VERSION and is_turned(run.config, run.options):
+        if self.schema <= OLDER_AXES and is_turned(run.config, run.options):
             axes = OBJECT_AXES if self.scan_yaws is None else SCAN_AXES
             return dataclasses.replace(told, object_axes=axes)
         return told
@@ -371,8 +369,8 @@ class RecordedEpisode:
     def frame_places(self, camera: str, output: str) -> tuple[int, np.ndarray] | None:
         """Offset of the first frame in the file and ends (N+1,) of all frames from there on [bytes].
 
-        With these, frames can be read without HDF5 and decoded by `images.decode`. None if the file has a journal or
-        the dataset is not contiguous; `frame` still reads them.
+        With these, frames can be read without HDF5 and decoded by `images.decode`. None if the dataset is not
+        contiguous; `frame` still reads them.
 
         Raises:
             UsageError: no such image was recorded.
@@ -381,7 +379,7 @@ class RecordedEpisode:
             self.frame(camera, output, 0)
             place = f"images/{camera}/{output}"
             offset = dataset(self._group, f"{place}/bytes").id.get_offset()
-            if offset is None or self.shard.journalled:
+            if offset is None:
                 return None
             return int(offset), dataset(self._group, f"{place}/ends")[()]
 
@@ -418,44 +416,21 @@ class Shard:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self._fd = -1
         self._runs: dict[str, RunInfo] = {}
         try:
-            with quiet(path):
-                self.file = self._open()
-                check_format(self.file, path)
-                self._read_index()
+            stated_length(path)
+            _refuse_journal(path)
+            self.file = h5py.File(path, "r", locking=False)
+            check_format(self.file, path)
+            self._episodes = group(self.file, EPISODES)
+            self.names = sorted(map(str, self._episodes))
+            self._known = frozenset(self.names)
         except UNREADABLE as error:
             self.close()
             raise _unreadable(path, error) from error
         except BaseException:
             self.close()
             raise
-
-    def _read_index(self) -> None:
-        """Read everything that a writer may change (locations of episodes, runs) once, when the shard is opened."""
-        index = group(self.file, EPISODES)
-        self._places = {
-            str(name): h5r.create(index.id, str(name).encode(), h5r.OBJECT)
-            for name in index
-        }
-        self.names = sorted(self._places)
-        with suppress(*BROKEN):
-            _ = self.told  # of a damaged one, whoever asks hears of it
-
-    def _open(self) -> h5py.File:
-        committed_length(self.path)
-        journal = read_journal(self.path)
-        if journal is None:
-            return h5py.File(self.path, "r", locking=False)
-        # A writer was killed while it committed the last episode: read the file as it will be after recovery.
-        self._fd = os.open(self.path, os.O_RDONLY)
-        return h5py.File(Overlay(self._fd, journal.after, journal.pages), "r")
-
-    @property
-    def journalled(self) -> bool:
-        """Whether a part of it is in a journal beside the file."""
-        return self._fd >= 0
 
     @functools.cached_property
     def told(self) -> dict[str, dict[str, Any]]:
@@ -504,13 +479,19 @@ class Shard:
         Raises:
             UsageError: there is none of that name.
         """
-        if name not in self._places:
+        if name not in self._known:
             raise unknown_name(f"episode in {self.path}", name, self.names[:20])
         return RecordedEpisode(self, name)
 
     def open_group(self, name: str) -> h5py.Group:
-        """The HDF5 group of an episode in ``names``, found without the file's index."""
-        return group(self.file, self._places[name])
+        """The HDF5 group of an episode in ``names``.
+
+        Raises:
+            ValueError: it lies in another file.
+        """
+        if not isinstance(self._episodes.get(name, getlink=True), h5py.HardLink):
+            raise ValueError(f"the episode {name} lies in another file")
+        return group(self._episodes, name)
 
     def __iter__(self) -> Iterator[RecordedEpisode]:
         return (RecordedEpisode(self, name) for name in self.names)
@@ -522,9 +503,6 @@ class Shard:
         """Close the file. Its episodes open it again whenever they are read."""
         if hasattr(self, "file"):
             self.file.close()
-        if self._fd >= 0:
-            os.close(self._fd)
-            self._fd = -1
 
     def __enter__(self) -> Shard:
         return self
@@ -534,7 +512,7 @@ class Shard:
 
 
 def open_shard(path: Path | str) -> Shard:
-    """Open a shard for reading; another process may append to it, which does not change the opened shard.
+    """Open a shard for reading.
 
     Raises:
         UsageError: the file does not exist, or its schema version is not supported.
@@ -544,6 +522,14 @@ def open_shard(path: Path | str) -> Shard:
     if not path.is_file():
         raise UsageError(f"{path} does not exist or is no file; give a shard (*.h5).")
     return Shard(path)
+
+
+def _refuse_journal(path: Path) -> None:
+    if journal_path(path).exists():
+        raise DamagedError(
+            f"{path} has a change that a killed writer of mjhab 0.1 did not finish. Finish it with: mjhab data repair "
+            f"{path}"
+        )
 
 
 def _camera_output(key: str) -> tuple[str, str]:
@@ -556,15 +542,13 @@ def _camera_output(key: str) -> tuple[str, str]:
 
 
 def _unreadable(path: Path, error: Exception) -> DamagedError:
-    if is_written(path):
-        return DamagedError(f"{path} is being written by another process; try again.")
     there = path.stat().st_size
-    whole = committed_length(path)
+    whole = stated_length(path)
     if there < whole:
         return DamagedError(
             f"{path} cannot be read: it is cut off, {there:,} of its {whole:,} bytes are there. Copy it again from "
-            f"where it came from, or save the episodes that are whole: mjhab data repair {path}"
+            "where it came from."
         )
     return DamagedError(
-        f"{path} cannot be read: {reason(error)}. Try: mjhab data repair {path}"
+        f"{path} cannot be read: {reason(error)}. Copy it again from where it came from."
     )

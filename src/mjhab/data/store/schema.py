@@ -12,13 +12,14 @@ from mjhab.core.errors import MjhabError
 
 FORMAT = "mjhab-episodes"
 """Root attribute ``format``, which identifies a shard."""
-VERSION = 3
+VERSION = 4
 """Schema version: root attribute ``schema`` of a file, and attribute of each episode. It increases with every change
 that older readers could not read or would misread. Adding optional datasets, attributes or JSON keys does not increase
 it, because readers ignore unknown names.
 
 1: the first version. 2: adds intended actions and actors; quaternions in observations are canonical. 3: observations of
-profile "ms_hab" have poses of objects in the axes of their scans; runs tell their `core.conventions.names`."""
+profile "ms_hab" have poses of objects in the axes of their scans; runs tell their `core.conventions.names`. 4: each
+recorded episode is a file of its own until a set is packed; files are never changed in place."""
 OLDEST = 1
 """Oldest supported schema version; `Episode` converts older content to that of VERSION."""
 EPISODES = "episodes"
@@ -74,203 +75,70 @@ class Field:
     since: int = 1
 
 
-FIELDS: tuple[Field, ...] = (
-    Field(
-        "record",
-        "",
-        "bytes",
-        "uint8",
-        "JSON",
-        "the `EpisodeRecord`: identity, plan, labels, events, forces, taint",
-    ),
-    Field(
-        "actions",
-        "N",
-        "(N, A)",
-        "float32",
-        "action table",
-        "as executed, before clipping",
-    ),
-    Field(
-        "actions_intended",
-        "N",
-        "(N, A)",
-        "float32",
-        "action table",
-        "what was intended: without noise",
-        since=2,
-    ),
-    Field("actor", "N", "(N,)", "uint8", "index in `actors`", "who acted", since=2),
-    Field(
-        "states/initial",
-        "",
-        "bytes",
-        "uint8",
-        "JSON",
-        "`env.get_state` after the reset: the full first state",
-    ),
-    Field(
-        "states/qpos",
-        "N+1",
-        "(N+1, nq)",
-        "float64",
-        "m, rad, wxyz",
-        "generalized positions",
-        optional=True,
-    ),
-    Field(
-        "states/qvel",
-        "N+1",
-        "(N+1, nv)",
-        "float64",
-        "m/s, rad/s",
-        "generalized velocities",
-        optional=True,
-    ),
-    Field(
-        "signals/checks",
-        "N+1",
-        "(N+1, 18)",
-        "uint8",
-        "0 or 1",
-        "CHECKS of the subtask that was active in the step",
-    ),
-    Field(
-        "signals/forces",
-        "N+1",
-        "(N+1, 3)",
-        "float64",
-        "N, N, N x steps",
-        "FORCES, likewise",
-    ),
-    Field(
-        "signals/taint",
-        "N+1",
-        "(N+1,)",
-        "uint8",
-        "bit mask",
-        "faults of the simulation since the reset",
-    ),
-    Field(
-        "subtasks/active",
-        "N+1",
-        "(N+1,)",
-        "int16",
-        "index in the plan",
-        "subtask active after the step",
-    ),
-    Field(
-        "subtasks/step",
-        "K",
-        "(K,)",
-        "int32",
-        "control steps",
-        "when each subtask that was reached began",
-    ),
-    Field(
-        "subtasks/index",
-        "K",
-        "(K,)",
-        "int16",
-        "index in the plan",
-        "which subtask it was",
-    ),
-    Field(
-        "subtasks/checks",
-        "K",
-        "(K, 18)",
-        "uint8",
-        "0 or 1",
-        "CHECKS at its start: row 0 of its history",
-    ),
-    Field("reward/total", "N", "(N,)", "float64", "-", "what the environment returned"),
-    Field(
-        "reward/terms",
-        "N",
-        "(N, R)",
-        "float64",
-        "-",
-        "terms of the dense reward, as named",
-        optional=True,
-    ),
-    Field(
-        "reward/success",
-        "N",
-        "(N,)",
-        "uint8",
-        "0 or 1",
-        "`info['success']` of every step",
-    ),
-    Field("reward/fail", "N", "(N,)", "uint8", "0 or 1", "`info['fail']` of every step"),
-    Field(
-        "obs/state",
-        "N+1",
-        "(N+1, D)",
-        "float32",
-        "see columns",
-        "all state observations, side by side",
-    ),
-    Field(
-        "obs/*",
-        "N+1",
-        "(N+1, ...)",
-        "any",
-        "see the observation table",
-        "any other observation",
-        optional=True,
-    ),
-    Field(
-        "images/*/bytes",
-        "",
-        "bytes",
-        "uint8",
-        "PNG or JPEG",
-        "encoded frames, one after another",
-        optional=True,
-    ),
-    Field(
-        "images/*/ends",
-        "N+1",
-        "(N+1,)",
-        "int64",
-        "bytes",
-        "where each frame ends in them",
-        optional=True,
-    ),
-)
+def _fields(table: str) -> tuple[Field, ...]:
+    """Read a table: since, path ("?": optional), rows, shape, type, unit, meaning."""
+    rows = [
+        [cell.strip() for cell in row.split("|")] for row in table.strip().splitlines()
+    ]
+    return tuple(
+        Field(path.rstrip("?"), *told, path.endswith("?"), int(since))
+        for since, path, *told in rows
+    )
+
+
+FIELDS = _fields("""
+1 | record           |     | bytes | uint8 | JSON | the `EpisodeRecord`: identity, plan, labels, events, forces, taint
+1 | actions          | N   | (N, A) | float32 | action table | as executed, before clipping
+2 | actions_intended | N   | (N, A) | float32 | action table | what was intended: without noise
+2 | actor            | N   | (N,) | uint8 | index in `actors` | who acted
+1 | states/initial   |     | bytes | uint8 | JSON | `env.get_state` after the reset: the full first state
+1 | states/qpos?     | N+1 | (N+1, nq) | float64 | m, rad, wxyz | generalized positions
+1 | states/qvel?     | N+1 | (N+1, nv) | float64 | m/s, rad/s | generalized velocities
+1 | signals/checks   | N+1 | (N+1, 18) | uint8 | 0 or 1 | CHECKS of the subtask that was active in the step
+1 | signals/forces   | N+1 | (N+1, 3) | float64 | N, N, N x steps | FORCES, likewise
+1 | signals/taint    | N+1 | (N+1,) | uint8 | bit mask | faults of the simulation since the reset
+1 | subtasks/active  | N+1 | (N+1,) | int16 | index in the plan | subtask active after the step
+1 | subtasks/step    | K   | (K,) | int32 | control steps | when each subtask that was reached began
+1 | subtasks/index   | K   | (K,) | int16 | index in the plan | which subtask it was
+1 | subtasks/checks  | K   | (K, 18) | uint8 | 0 or 1 | CHECKS at its start: row 0 of its history
+1 | reward/total     | N   | (N,) | float64 | - | what the environment returned
+1 | reward/terms?    | N   | (N, R) | float64 | - | terms of the dense reward, as named
+1 | reward/success   | N   | (N,) | uint8 | 0 or 1 | `info['success']` of every step
+1 | reward/fail      | N   | (N,) | uint8 | 0 or 1 | `info['fail']` of every step
+1 | obs/state        | N+1 | (N+1, D) | float32 | see columns | all state observations, side by side
+1 | obs/*?           | N+1 | (N+1, ...) | any | see the observation table | any other observation
+1 | images/*/bytes?  |     | bytes | uint8 | PNG or JPEG | encoded frames, one after another
+1 | images/*/ends?   | N+1 | (N+1,) | int64 | bytes | where each frame ends in them
+""")
 """Every dataset of an episode group; N actions, N+1 states, K subtasks reached, A action size."""
 
-ATTRIBUTES: dict[str, str] = {
-    "seed": "seed of the episode",
-    "index": "index of the episode: (config, seed, index) is its identity",
-    "run": "name under `/runs` of what made it",
-    "home": "home it happened in",
-    "model": "hash of the compiled home: sizes, poses, masses, servos",
-    "label": "label of the last subtask that ended",
-    "success": "whether the goal was reached at least once",
-    "steps": "number N of control steps",
-    "ending": f"how it ended: {', '.join(ENDINGS[:-1])}, or {ENDINGS[-1]} (by the caller)",
-    "style": "JSON: how the expert was asked to act in this episode; empty if nothing was asked",
-    "actors": "JSON: the names that the numbers of `actor` stand for",
-    "schema": "version of the schema that the episode was recorded in; 1 where it is missing",
-    "digest": "SHA-256 over the record and every dataset",
+_ATTRIBUTES: dict[str, tuple[type, str]] = {
+    "seed": (int, "seed of the episode"),
+    "index": (int, "index of the episode: (config, seed, index) is its identity"),
+    "run": (str, "name under `/runs` of what made it"),
+    "home": (str, "home it happened in"),
+    "model": (str, "hash of the compiled home: sizes, poses, masses, servos"),
+    "label": (str, "label of the last subtask that ended"),
+    "success": (bool, "whether the goal was reached at least once"),
+    "steps": (int, "number N of control steps"),
+    "ending": (
+        str,
+        f"how it ended: {', '.join(ENDINGS[:-1])}, or {ENDINGS[-1]} (by the caller)",
+    ),
+    "style": (
+        str,
+        "JSON: how the expert was asked to act in this episode; empty if nothing was asked",
+    ),
+    "actors": (str, "JSON: the names that the numbers of `actor` stand for"),
+    "schema": (
+        int,
+        "version of the schema that the episode was recorded in; 1 where it is missing",
+    ),
+    "digest": (str, "SHA-256 over the record and every dataset"),
 }
-"""Attributes of an episode group."""
-ATTRIBUTE_TYPES: dict[str, type] = {
-    "seed": int,
-    "index": int,
-    "run": str,
-    "home": str,
-    "model": str,
-    "label": str,
-    "success": bool,
-    "steps": int,
-    "ending": str,
-    "style": str,
-    "actors": str,
-    "schema": int,
-    "digest": str,
-}
+ATTRIBUTES = {name: meaning for name, (_, meaning) in _ATTRIBUTES.items()}
+"""Attributes of an episode group: their meaning."""
+ATTRIBUTE_TYPES = {name: kind for name, (kind, _) in _ATTRIBUTES.items()}
 NEEDED_ATTRIBUTES = ("run", "steps", "ending", "digest")
 """Attributes without which an episode cannot be read."""
 

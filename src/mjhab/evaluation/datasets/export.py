@@ -100,7 +100,7 @@ def run_lerobot(spec: LerobotSpec, begin: Begin | None = None) -> Exported:
     try:
         from mjhab.data.export.lerobot.export import write_lerobot
         from mjhab.data.export.lerobot.features import Choice
-        from mjhab.data.export.lerobot.pieces import FilmTools
+        from mjhab.data.export.lerobot.parts import FilmTools
     except ModuleNotFoundError as error:
         if error.name is None or error.name.partition(".")[0] != "pyarrow":
             raise

@@ -9,14 +9,8 @@ from collections.abc import Callable
 from typing import Any, overload
 
 from mjhab.core.errors import UsageError
-from mjhab.data.record.replay import (
-    FOLLOW,
-    Rendered,
-    RenderRequest,
-    Verified,
-    render,
-    verify,
-)
+from mjhab.data.record.render import FOLLOW, Rendered, RenderRequest, render
+from mjhab.data.record.verify import Verified, verify
 from mjhab.data.record.worlds import RecordedEnv
 from mjhab.data.store.episode_data import RunInfo
 from mjhab.data.store.images import ImageFormat

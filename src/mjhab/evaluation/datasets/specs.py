@@ -193,7 +193,7 @@ class ReplaySpec(SelectedSpec):
 
     def _check_images(self, render: str) -> None:
         # Here: the help of a command waits neither for gymnasium nor for h5py.
-        from mjhab.data.record.replay import FOLLOW
+        from mjhab.data.record.render import FOLLOW
         from mjhab.data.store.images import ImageFormat
         from mjhab.envs.observations.modes import image_size, mode_outputs
 

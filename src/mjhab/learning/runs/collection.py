@@ -13,10 +13,11 @@ from typing import TYPE_CHECKING, Any, cast
 
 from mjhab.config.profiles import DEFAULT_PROFILE, profile_named
 from mjhab.core.errors import UsageError
-from mjhab.data.record.crew import ALL, Stage, WorkerSpec
-from mjhab.data.record.generation import Job, Standing, generate
+from mjhab.data.record.generation import generate
+from mjhab.data.record.job import Job, Standing
+from mjhab.data.record.workers import ALL, Stage, WorkerSpec
 from mjhab.data.store.images import ImageFormat
-from mjhab.evaluation.generate import make_crew
+from mjhab.evaluation.generate import make_pool
 from mjhab.learning.demos import SUCCESSES
 from mjhab.learning.runs.budget import wave_seconds
 from mjhab.learning.runs.intervention import Intervention
@@ -137,8 +138,8 @@ class Collector:
         job = Job(
             spec, config, out, wanted.episodes, self._means.workers, self._means.worlds
         )
-        crew = make_crew(0 if alone else self._means.workers, self._ray)
-        standing = generate(job, crew, tell, stopped, resume=True)
+        pool = make_pool(0 if alone else self._means.workers, self._ray)
+        standing = generate(job, pool, tell, stopped, resume=True)
         if standing.complete and not standing.kept:
             raise UsageError(
                 f"not one of the {standing.tried} episodes of round {wanted.number} succeeded. Measure how well the "

@@ -15,7 +15,7 @@ import torch
 
 from mjhab.core.arithmetic.sums import ordered_sum
 from mjhab.core.files.interrupts import held_interrupts
-from mjhab.data.record.generation import Standing, tried_in
+from mjhab.data.record.job import Standing, tried_in
 from mjhab.data.select.query import Filter
 from mjhab.learning.batches import BatchSampler
 from mjhab.learning.checkpoint import restoring

@@ -103,6 +103,23 @@ class DataSplitOptions:
 
 
 @dataclass(frozen=True)
+class DataPackOptions:
+    """Make shards of the episode files of data sets, to share them and to read them faster; the files are deleted.
+
+    `mjhab data pack runs/pick`
+    """
+
+    folders: Annotated[
+        tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="FOLDER ...")
+    ]
+    """Folders as `mjhab generate` makes them."""
+    shard_mb: Annotated[int, tyro.conf.arg(metavar="MB")] = 512
+    """Approximate largest size of a shard [MB]."""
+    json: bool = False
+    """Print one line of JSON at the end."""
+
+
+@dataclass(frozen=True)
 class DataCheckOptions:
     """Read recorded episodes completely and compare them with their digests; fails if anything is damaged."""
 
@@ -114,7 +131,7 @@ class DataCheckOptions:
 
 @dataclass(frozen=True)
 class DataRepairOptions:
-    """Repair shards: complete interrupted writes and drop damaged episodes.
+    """Repair shards and episode files: complete interrupted writes and drop damaged episodes.
 
     If episodes are dropped, the damaged file is kept as *.damaged.
     """
@@ -170,7 +187,7 @@ class DataImportOptions:
 
 @dataclass(frozen=True)
 class DataCommand:
-    """Query, count, report, merge, split, import, check or repair recorded episodes."""
+    """Query, count, report, merge, split, pack, import, check or repair recorded episodes."""
 
     command: (
         Annotated[DataQueryOptions, Sub("query")]
@@ -178,6 +195,7 @@ class DataCommand:
         | Annotated[DataReportOptions, Sub("report")]
         | Annotated[DataMergeOptions, Sub("merge")]
         | Annotated[DataSplitOptions, Sub("split")]
+        | Annotated[DataPackOptions, Sub("pack")]
         | Annotated[DataImportOptions, Sub("import")]
         | Annotated[DataCheckOptions, Sub("check")]
         | Annotated[DataRepairOptions, Sub("repair")]

@@ -13,11 +13,11 @@ from mjhab.data.export.lerobot.features import (
     TELEPORTED,
     Features,
 )
-from mjhab.data.export.lerobot.pieces import Made
+from mjhab.data.export.lerobot.parts import ExportedEpisode
 from mjhab.data.select.until import Until
 
 
-def card(robot: str, made: Sequence[Made], until: Until, notes: str) -> str:
+def card(robot: str, made: Sequence[ExportedEpisode], until: Until, notes: str) -> str:
     """Text of README.md for the episodes ``made``; ``notes`` are about their images, see `image_notes`."""
     licences = dict.fromkeys(each.licence for each in made)
     frames = sum(each.steps for each in made)

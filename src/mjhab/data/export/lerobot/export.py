@@ -17,7 +17,6 @@ import pyarrow as pa
 
 from mjhab.core.errors import UsageError, unknown_name
 from mjhab.data.export.conventions import CONVENTIONS
-from mjhab.data.export.folders import Target, whole_folder
 from mjhab.data.export.lerobot.card import card, image_notes
 from mjhab.data.export.lerobot.features import (
     ACTION,
@@ -37,7 +36,7 @@ from mjhab.data.export.lerobot.features import (
     film_features,
 )
 from mjhab.data.export.lerobot.files import VERSIONS, Files, write_json
-from mjhab.data.export.lerobot.pieces import FilmTools, Made, Pieces
+from mjhab.data.export.lerobot.parts import EpisodeParts, ExportedEpisode, FilmTools
 from mjhab.data.export.lerobot.stats import (
     Stats,
     image_stats,
@@ -58,6 +57,7 @@ from mjhab.data.store.damage import refuse_damage
 from mjhab.data.store.episode_data import last_label
 from mjhab.data.store.older import OLDER_ROBOT
 from mjhab.data.store.reading import RecordedEpisode, open_shard
+from mjhab.data.store.staging import Target, whole_folder
 
 INFO = "meta/info.json"
 """Description of the data set; every LeRobot data set has it."""
@@ -116,10 +116,10 @@ def write_lerobot(
         "episodes": found.fingerprint,
     }
     target = Target(request.out, _foreign, request.overwrite, request.resume)
-    with whole_folder(target, job) as filling:
-        pieces = Pieces(filling.work, FPS, films)
+    with whole_folder(target, job) as staging:
+        parts = EpisodeParts(staging.work, FPS, films)
         export = _Export(
-            filling.root, VERSIONS[version](filling.root, FPS), pieces, choice
+            staging.root, VERSIONS[version](staging.root, FPS), parts, choice
         )
         for path, name in found.matched:
             export.add(path, name)
@@ -145,10 +145,12 @@ class _Numbers:
 class _Export:
     """State of a running export."""
 
-    def __init__(self, root: Path, files: Files, pieces: Pieces, choice: Choice) -> None:
+    def __init__(
+        self, root: Path, files: Files, parts: EpisodeParts, choice: Choice
+    ) -> None:
         self._root = root
         self._files = files
-        self._pieces = pieces
+        self._parts = parts
         self._choice = choice
         self._until = Until.parse(choice.until)
         self._features: Features = {}
@@ -158,13 +160,13 @@ class _Export:
         self._tasks: dict[str, int] = {}
         self._subtasks: dict[str, int] = {}
         self._actors: dict[str, int] = {}
-        self._made: list[Made] = []
+        self._made: list[ExportedEpisode] = []
         self._frames = 0
 
     def add(self, path: Path, name: str) -> None:
         """Write one episode, unless it is written already."""
         number = len(self._made)
-        made = self._pieces.made(number)
+        made = self._parts.made(number)
         if made is None or not self._features:
             with open_shard(path) as shard:
                 episode = shard.episode(name)
@@ -193,7 +195,7 @@ class _Export:
                 "before it: it was recorded with other assets. Choose with --where, or leave them out with --no-seg."
             )
 
-    def _count(self, made: Made) -> _Numbers:
+    def _count(self, made: ExportedEpisode) -> _Numbers:
         """Indices of the names in an episode; new names get the next free index."""
         return _Numbers(
             self._tasks.setdefault(made.row["tasks"][0], len(self._tasks)),
@@ -204,7 +206,7 @@ class _Export:
             [self._actors.setdefault(name, len(self._actors)) for name in made.actors],
         )
 
-    def _make(self, number: int, episode: RecordedEpisode) -> Made:
+    def _make(self, number: int, episode: RecordedEpisode) -> ExportedEpisode:
         record = episode.record
         words = instructions_of(episode)
         length = self._until.steps(episode.array("reward/success"))
@@ -219,7 +221,7 @@ class _Export:
         row["object_axes"] = told.object_axes
         row["joint_angles"] = told.joint_angles
         row["navigation"] = "teleport" if navigates_by_teleport(episode) else "drive"
-        made = Made(
+        made = ExportedEpisode(
             row,
             {},
             0,
@@ -230,7 +232,7 @@ class _Export:
         )
         columns = self._columns(episode, number, self._count(made))
         table = to_table(columns)
-        self._pieces.add_table(number, table)
+        self._parts.add_table(number, table)
         made.stats.update(
             {
                 key: _column_stats(values, self._features[key])
@@ -240,11 +242,11 @@ class _Export:
         for key in film_features(self._features):
             samples: list[np.ndarray] = []
             camera = key.rpartition(".")[2]
-            self._pieces.add_film(number, key, _shown(episode, length, camera, samples))
+            self._parts.add_film(number, key, _shown(episode, length, camera, samples))
             made.films[key] = int(episode.array(f"images/{camera}/rgb/ends")[length - 1])
             made.stats[key] = image_stats(np.stack(samples))
         made = replace(made, size=table.nbytes)
-        self._pieces.finish(number, made)
+        self._parts.finish(number, made)
         return made
 
     def _columns(
@@ -294,7 +296,7 @@ class _Export:
 
     def finish(self) -> Exported:
         """Write the metadata of the data set."""
-        self._files.arrange(self._pieces, self._made)
+        self._files.arrange(self._parts, self._made)
         self._files.describe(
             [made.row for made in self._made], [made.stats for made in self._made]
         )

@@ -14,7 +14,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from mjhab.core.names import below
-from mjhab.data.export.lerobot.pieces import Made, Pieces
+from mjhab.data.export.lerobot.parts import EpisodeParts, ExportedEpisode
 from mjhab.data.export.lerobot.stats import QUANTILES, Stats, aggregate
 
 CHUNK = 1000
@@ -32,10 +32,10 @@ class Files(Protocol):
     version: str
     paths: dict[str, Any]
 
-    def arrange(self, pieces: Pieces, made: Sequence[Made]) -> None:
-        """Move or join the pieces of all episodes into the final files, and add their places to the episodes' rows.
+    def arrange(self, parts: EpisodeParts, made: Sequence[ExportedEpisode]) -> None:
+        """Move or join the parts of all episodes into the final files, and add their places to the episodes' rows.
 
-        After an interruption it can be called again: existing files are kept, and pieces are deleted once used.
+        After an interruption it can be called again: existing files are kept, and parts are deleted once used.
         """
         ...
 
@@ -66,14 +66,14 @@ class Files30:
             "video_path": "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4",
         }
 
-    def arrange(self, pieces: Pieces, made: Sequence[Made]) -> None:
+    def arrange(self, parts: EpisodeParts, made: Sequence[ExportedEpisode]) -> None:
         """See `Files`."""
         first = 0
         for file, numbers in enumerate(
             _packed([each.size for each in made], DATA_MB * _MB)
         ):
             place = _place(file)
-            pieces.join_tables(
+            parts.join_tables(
                 numbers, below(self.root, self.paths["data_path"].format(**place))
             )
             for number in numbers:
@@ -84,15 +84,17 @@ class Files30:
                 made[number].row.update(dataset_from_index=first, dataset_to_index=last)
                 first = last
         for key in made[0].films:
-            self._arrange_films(pieces, made, key)
+            self._arrange_films(parts, made, key)
 
-    def _arrange_films(self, pieces: Pieces, made: Sequence[Made], key: str) -> None:
+    def _arrange_films(
+        self, parts: EpisodeParts, made: Sequence[ExportedEpisode], key: str
+    ) -> None:
         for file, numbers in enumerate(
             _packed([each.films[key] for each in made], VIDEO_MB * _MB)
         ):
             place = _place(file)
             first = 0
-            pieces.join_films(
+            parts.join_films(
                 numbers,
                 key,
                 below(self.root, self.paths["video_path"].format(video_key=key, **place)),
@@ -155,20 +157,20 @@ class Files21:
             "video_path": "videos/chunk-{episode_chunk:03d}/{video_key}/episode_{episode_index:06d}.mp4",
         }
 
-    def arrange(self, pieces: Pieces, made: Sequence[Made]) -> None:
+    def arrange(self, parts: EpisodeParts, made: Sequence[ExportedEpisode]) -> None:
         """See `Files`."""
         self.paths["total_chunks"] = -(-len(made) // CHUNK)
         self.paths["total_videos"] = sum(len(each.films) for each in made)
         for number, each in enumerate(made):
             place = {"episode_chunk": number // CHUNK, "episode_index": number}
-            pieces.join_tables(
+            parts.join_tables(
                 [number], below(self.root, self.paths["data_path"].format(**place))
             )
             for key in each.films:
                 path = below(
                     self.root, self.paths["video_path"].format(video_key=key, **place)
                 )
-                pieces.join_films([number], key, path)
+                parts.join_films([number], key, path)
 
     def describe(
         self, episodes: Sequence[dict[str, Any]], stats: Sequence[dict[str, Stats]]

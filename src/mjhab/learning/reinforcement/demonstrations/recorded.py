@@ -8,7 +8,7 @@ from __future__ import annotations
 import dataclasses
 from collections import defaultdict
 from collections.abc import Callable, Sequence
-from typing import Any
+from pathlib import Path
 
 import numpy as np
 import torch
@@ -16,6 +16,7 @@ import torch
 from mjhab.core.errors import UsageError
 from mjhab.data.select.query import Filter
 from mjhab.data.select.sets import select
+from mjhab.data.store.places import Place
 from mjhab.data.store.reading import RecordedEpisode, open_shard
 from mjhab.evaluation.recorded import recorded_env
 from mjhab.learning.demos import (
@@ -61,28 +62,29 @@ def replay_recorded(
     total = len(found.matched)
     longest = max(record.steps for record in found.records)
     # Episodes of one recording are simulated together; their names start with that of the recording.
-    recordings = {(path, name.partition("-")[0]) for path, name in found.matched}
+    recordings: dict[str, list[Place]] = defaultdict(list)
+    for path, name in found.matched:
+        recordings[name.partition("-")[0]].append((path, name))
     batches = total // WORLDS + len(recordings)
     buffer = make(min(WORLDS, total), batches * (longest + 1))
-    by_shard: dict[Any, list[str]] = defaultdict(list)
-    for path, name in found.matched:
-        by_shard[path].append(name)
     done = 0
-    for path, names in by_shard.items():
-        with open_shard(path) as shard:
-            groups: dict[str, list[RecordedEpisode]] = defaultdict(list)
-            for name in names:
-                episode = shard.episode(name)
-                check_episode(session, episode)
-                groups[episode.run.config_id].append(episode)
-            for members in groups.values():
-                player = _Player(session, members[0], buffer.shape.worlds)
-                for start in range(0, len(members), buffer.shape.worlds):
-                    batch = members[start : start + buffer.shape.worlds]
-                    player.play(batch, buffer)
-                    done += len(batch)
-                    tell(done, total)
+    for members in recordings.values():
+        episodes = [_episode(session, *member) for member in members]
+        player = _Player(session, episodes[0], buffer.shape.worlds)
+        for start in range(0, len(episodes), buffer.shape.worlds):
+            batch = episodes[start : start + buffer.shape.worlds]
+            player.play(batch, buffer)
+            done += len(batch)
+            tell(done, total)
     return buffer
+
+
+def _episode(session: ReinforcementSession, path: Path, name: str) -> RecordedEpisode:
+    """An episode that is checked; its file is opened again when it is played."""
+    with open_shard(path) as shard:
+        episode = shard.episode(name)
+        check_episode(session, episode)
+        return episode
 
 
 def check_episode(session: ReinforcementSession, episode: RecordedEpisode) -> None:

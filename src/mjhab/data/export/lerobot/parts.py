@@ -42,7 +42,7 @@ class FilmTools:
 
 
 @dataclass(frozen=True)
-class Made:
+class ExportedEpisode:
     """Metadata of an exported episode, JSON data except for ``stats``.
 
     row: of the table of episodes. stats: statistics per feature. size: of its rows in memory [bytes].
@@ -64,7 +64,7 @@ class Made:
         return self.row["length"]
 
 
-class Pieces:
+class EpisodeParts:
     """The per-episode files in a folder, by number of the episode."""
 
     def __init__(self, folder: Path, fps: int, films: FilmTools) -> None:
@@ -72,7 +72,7 @@ class Pieces:
         self._fps = fps
         self._tools = films
 
-    def made(self, number: int) -> Made | None:
+    def made(self, number: int) -> ExportedEpisode | None:
         """Metadata of a finished episode; None if it is not finished."""
         path = self._path(number, "json")
         if not path.exists():
@@ -82,7 +82,7 @@ class Pieces:
             key: {name: np.array(value) for name, value in each.items()}
             for key, each in plain["stats"].items()
         }
-        return Made(**plain)
+        return ExportedEpisode(**plain)
 
     def add_table(self, number: int, table: pa.Table) -> None:
         """Write the rows of an episode."""
@@ -103,7 +103,7 @@ class Pieces:
             raise
         _sync(path)
 
-    def finish(self, number: int, made: Made) -> None:
+    def finish(self, number: int, made: ExportedEpisode) -> None:
         """Mark an episode as finished by writing its metadata."""
         plain = asdict(made)
         plain["stats"] = {
@@ -117,7 +117,7 @@ class Pieces:
         )
 
     def join_tables(self, numbers: Sequence[int], out: Path) -> None:
-        """Join the rows of episodes into one file, unless it exists, and delete their pieces."""
+        """Join the rows of episodes into one file, unless it exists, and delete their parts."""
 
         def join(paths: Sequence[Path], whole: Path) -> None:
             with pq.ParquetWriter(
@@ -129,7 +129,7 @@ class Pieces:
         self._join(numbers, "parquet", out, join)
 
     def join_films(self, numbers: Sequence[int], key: str, out: Path) -> None:
-        """Join videos of episodes into one file, unless it exists, and delete their pieces."""
+        """Join videos of episodes into one file, unless it exists, and delete their parts."""
         self._join(numbers, f"{key}.mp4", out, self._tools.join)
 
     def _join(

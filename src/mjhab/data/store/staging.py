@@ -16,7 +16,7 @@ from mjhab.core.files.cache import write_atomic
 from mjhab.core.files.locking import WriteLock
 from mjhab.core.files.reading import read_json_object
 from mjhab.core.version import __version__
-from mjhab.data.store.shard import StorageError, is_full
+from mjhab.data.store.storage import StorageError, is_full, reason_of
 
 JOB = "job.json"
 WHOLE = "whole"
@@ -25,7 +25,7 @@ WORK = "work"
 
 
 @dataclass(frozen=True)
-class Filling:
+class StagingDir:
     """A folder that is being filled. root: becomes the final folder. work: for temporary files."""
 
     root: Path
@@ -71,7 +71,7 @@ class Target:
 
 
 @contextmanager
-def whole_folder(target: Target, job: Mapping[str, Any]) -> Iterator[Filling]:
+def whole_folder(target: Target, job: Mapping[str, Any]) -> Iterator[StagingDir]:
     """Context manager that yields a temporary folder to fill; on success it is renamed to ``target.out``.
 
     If the process is interrupted or killed, or the disk is full, the files stay for a later call with ``resume``.
@@ -115,34 +115,15 @@ def differences(before: Mapping[str, Any], now: Mapping[str, Any]) -> str:
     return f"{', '.join(other)} ({values})" if other else ""
 
 
-def broken(out: Path, error: Exception) -> StorageError:
-    """Make the error for an atomic write that failed."""
-    if is_full(error):
-        return StorageError(
-            f"cannot write {out}: the disk is full. Nothing was left behind; free some space and run the same command "
-            "again."
-        )
-    return StorageError(
-        f"cannot write {out}: {_reason(error)}. Fix that and run the same command again."
-    )
-
-
 def _stopped(out: Path, error: Exception) -> StorageError:
-    what, then = (
-        ("the disk is full", "free some space")
-        if is_full(error)
-        else (_reason(error), "fix that")
-    )
+    fix = "free some space" if is_full(error) else "fix that"
     return StorageError(
-        f"cannot write {out}: {what}. Finished parts are kept; {then} and run the same command with --resume."
+        f"cannot write {out}: {reason_of(error)}. Finished parts are kept; {fix} and run the same command with "
+        "--resume."
     )
 
 
-def _reason(error: Exception) -> str:
-    return getattr(error, "strerror", None) or str(error)
-
-
-def _begin(target: Target, job: dict[str, Any]) -> Filling:
+def _begin(target: Target, job: dict[str, Any]) -> StagingDir:
     """The folder to fill: the unfinished one, or a new one."""
     part = target.part
     if not (target.begun and target.resume):
@@ -152,7 +133,7 @@ def _begin(target: Target, job: dict[str, Any]) -> Filling:
             (part / folder).mkdir(parents=True)
         text = json.dumps(job, indent=2) + "\n"
         write_atomic(part / JOB, lambda path: path.write_text(text, encoding="utf-8"))
-    return Filling(part / WHOLE, part / WORK)
+    return StagingDir(part / WHOLE, part / WORK)
 
 
 def _publish(target: Target) -> None:

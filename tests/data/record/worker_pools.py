@@ -1,4 +1,4 @@
-"""Jobs for the tests of generation, and a crew whose workers live in this process and die when they are told to."""
+"""Jobs for the tests of generation, and a pool whose workers live in this process and die when they are told to."""
 
 from __future__ import annotations
 
@@ -9,17 +9,15 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, cast
 
-from mjhab.data.record.crew import (
-    Gone,
+from mjhab.data.record.job import Job
+from mjhab.data.record.messages import (
+    EpisodeDone,
     Message,
-    Report,
     Request,
-    Stage,
-    Worker,
-    WorkerSpec,
+    WorkerExited,
     failure,
 )
-from mjhab.data.record.generation import Job
+from mjhab.data.record.workers import Stage, Worker, WorkerSpec
 from mjhab.data.store.places import episodes
 from mjhab.rollout.policy import RandomPolicy
 from tests.data.fake_world import FakeEnv
@@ -56,7 +54,7 @@ class Killed(BaseException):
     """The end of a worker."""
 
 
-class InlineCrew:
+class InlinePool:
     """Carries out requests at once and delivers what was said in a random order among workers.
 
     ``deaths``: chance that a worker dies before it tells of an episode, after the episode was written if it was.
@@ -70,9 +68,9 @@ class InlineCrew:
         self.said: dict[int, deque[Message]] = {}
         self.stopped = False
 
-    def start(self, number: int, spec: WorkerSpec, shard: Path) -> None:
+    def start(self, number: int, spec: WorkerSpec, folder: Path) -> None:
         try:
-            self.workers[number] = Worker(spec, shard)
+            self.workers[number] = Worker(spec, folder)
             self.said[number] = deque([self.workers[number].ready])
         except Exception as error:
             self.said[number] = deque([failure(error)])
@@ -81,7 +79,7 @@ class InlineCrew:
         said = self.said[number]
 
         def tell(message: Message) -> None:
-            if isinstance(message, Report) and self.random.random() < self.deaths:
+            if isinstance(message, EpisodeDone) and self.random.random() < self.deaths:
                 raise Killed
             said.append(message)
 
@@ -90,7 +88,7 @@ class InlineCrew:
         except Killed:
             self.died += 1
             self.workers.pop(number).close()
-            said.append(Gone())
+            said.append(WorkerExited())
         except Exception as error:
             said.append(failure(error))
 

@@ -13,16 +13,14 @@ from typing import Any
 from mjhab.core.errors import UsageError
 from mjhab.core.libraries import missing_library
 from mjhab.core.machine import install_extra
-from mjhab.data.record.crew import (
-    Failed,
-    Gone,
+from mjhab.data.record.messages import (
     Message,
     Request,
-    Stopped,
-    Worker,
-    WorkerSpec,
+    WorkerExited,
+    WorkerFailed,
     failure,
 )
+from mjhab.data.record.workers import Stopped, Worker, WorkerSpec
 
 LOCAL = "local"
 _LONGEST_STOP = 15.0
@@ -37,10 +35,10 @@ class _Actor:
         self._stop = threading.Event()
         self._worker: Worker | None = None
 
-    def begin(self, spec: WorkerSpec, shard: Path) -> list[Message]:
+    def begin(self, spec: WorkerSpec, folder: Path) -> list[Message]:
         """Make the worker."""
         try:
-            self._worker = Worker(spec, shard)
+            self._worker = Worker(spec, folder)
             return [self._worker.ready]
         except Exception as error:
             return [failure(error)]
@@ -62,8 +60,8 @@ class _Actor:
         self._stop.set()
 
 
-class RayCrew:
-    """Workers that are actors of a Ray cluster, one CPU each. See `Crew`.
+class RayPool:
+    """Workers that are actors of a Ray cluster, one CPU each. See `WorkerPool`.
 
     Args:
         address: of the cluster; LOCAL starts one on this machine.
@@ -94,18 +92,18 @@ class RayCrew:
         self._actors: dict[int, Any] = {}
         self._calls: dict[Any, int] = {}
 
-    def start(self, number: int, spec: WorkerSpec, shard: Path) -> None:
-        """See `Crew`."""
+    def start(self, number: int, spec: WorkerSpec, folder: Path) -> None:
+        """See `WorkerPool`."""
         self._actors[number] = self._class.remote()
         # Workers may have another current directory.
-        self._calls[self._actors[number].begin.remote(spec, shard.resolve())] = number
+        self._calls[self._actors[number].begin.remote(spec, folder.resolve())] = number
 
     def send(self, number: int, request: Request) -> None:
-        """See `Crew`."""
+        """See `WorkerPool`."""
         self._calls[self._actors[number].run.remote(request)] = number
 
     def messages(self, seconds: float) -> list[tuple[int, Message]]:
-        """See `Crew`."""
+        """See `WorkerPool`."""
         ready, _ = self._ray.wait(list(self._calls), num_returns=1, timeout=seconds)
         found: list[tuple[int, Message]] = []
         for call in ready:
@@ -116,13 +114,13 @@ class RayCrew:
                 # The process may still run on a node that cannot be reached.
                 with contextlib.suppress(self._ray.exceptions.RayError):
                     self._ray.kill(self._actors[number])
-                found.append((number, Gone()))
+                found.append((number, WorkerExited()))
             except self._ray.exceptions.RayError as error:
-                found.append((number, Failed("error", str(error))))
+                found.append((number, WorkerFailed("error", str(error))))
         return found
 
     def stop(self) -> None:
-        """See `Crew`. Also closes the connection to the cluster."""
+        """See `WorkerPool`. Also closes the connection to the cluster."""
         for actor in self._actors.values():
             with contextlib.suppress(self._ray.exceptions.RayError):
                 actor.stop.remote()

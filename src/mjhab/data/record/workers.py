@@ -1,0 +1,180 @@
+"""Workers that record episodes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from mjhab.data.record.messages import (
+    EpisodeDone,
+    EpisodeStored,
+    Message,
+    Request,
+    RequestDone,
+    WorkerReady,
+)
+from mjhab.data.record.quotas import Outcome
+from mjhab.data.record.recorder import Recorder
+from mjhab.data.record.worlds import RecordedEnv
+from mjhab.data.select.facts import target_of
+from mjhab.data.select.query import Filter
+from mjhab.data.store.episode_data import EpisodeData, RunInfo, last_label
+from mjhab.data.store.episode_files import EpisodeFiles
+from mjhab.data.store.images import ImageFormat
+from mjhab.data.store.storage import not_written
+from mjhab.rollout.loop import rollout
+from mjhab.rollout.policy import Policy, RolloutEnv
+from mjhab.rollout.records import EpisodeRecord
+from mjhab.rollout.sinks import Sink, StepView
+from mjhab.tasks.subtasks.registry import SUBTASKS
+
+ALL = "all"
+"""Name of the only target of whole tasks and Navigate in quotas."""
+
+
+@dataclass(frozen=True)
+class Stage:
+    """Environment and policy of a worker.
+
+    env: with autoreset "disabled". about: description of the policy as JSON data. targets: all targets that quotas
+    count. licence: of the assets, see `provenance.describe_run`.
+    """
+
+    env: RecordedEnv
+    policy: Policy
+    about: Mapping[str, Any]
+    targets: tuple[str, ...] = (ALL,)
+    licence: str = ""
+
+
+@dataclass(frozen=True)
+class WorkerSpec:
+    """Picklable description of a worker.
+
+    build: makes the stage. seed: of the episodes. keep: filter, "" keeps all episodes. states, images: see `Recorder`.
+    """
+
+    build: Callable[[], Stage]
+    seed: int
+    keep: str = ""
+    states: bool = True
+    images: ImageFormat | None = None
+
+
+class Stopped(Exception):
+    """A worker was asked to stop during a request."""
+
+
+class _StopSink(Sink[RolloutEnv]):
+    """Checks after every control step whether the worker should stop."""
+
+    def __init__(self, stopped: Callable[[], bool]) -> None:
+        self._stopped = stopped
+
+    def on_step(self, env: RolloutEnv, step: StepView) -> None:
+        """Leave the rollout if the worker should stop."""
+        if self._stopped():
+            raise Stopped
+
+
+class Worker:
+    """Rolls out episodes into files. Episodes that are not yet decided on are held back in memory."""
+
+    def __init__(self, spec: WorkerSpec, folder: Path) -> None:
+        self._spec = spec
+        self._stage = spec.build()
+        self._filter = Filter(spec.keep) if spec.keep else None
+        self._files = EpisodeFiles(folder)
+        self._held: dict[int, EpisodeData] = {}
+        self._request = Request(())
+        self._tell = _nobody
+        self._recorder = Recorder(
+            self,
+            self._stage.env,
+            self._stage.about,
+            keep=self._passes,
+            states=spec.states,
+            images=spec.images,
+            licence=self._stage.licence,
+        )
+
+    @property
+    def ready(self) -> WorkerReady:
+        """The message of a started worker."""
+        return WorkerReady(self._recorder.run, self._stage.targets)
+
+    def run(
+        self,
+        request: Request,
+        tell: Callable[[Message], object],
+        stopped: Callable[[], bool],
+    ) -> None:
+        """Execute a request.
+
+        Raises:
+            StorageError: the disk is full.
+            Stopped: ``stopped`` returned True.
+        """
+        self._request = request
+        self._tell = tell
+        for index, keep in request.decided.items():
+            data = self._held.pop(index, None)
+            if keep and data is not None:
+                self._write(data)
+                tell(EpisodeStored(index))
+        if request.indices:
+            sinks = [self._recorder, _StopSink(stopped)]
+            rollout(
+                self._stage.env,
+                self._stage.policy,
+                request.indices,
+                self._spec.seed,
+                sinks,
+            )
+        tell(RequestDone())
+
+    def append(self, data: EpisodeData) -> int:
+        """Store or hold back an episode from the recorder; returns its size in the file [bytes]."""
+        outcome = outcome_of(data.record, True)
+        if outcome.index in self._request.keep or self._request.guaranteed(
+            outcome.target
+        ):
+            size = self._write(data)
+            self._tell(EpisodeDone(outcome, True))
+            return size
+        self._held[outcome.index] = data
+        self._tell(EpisodeDone(outcome, False))
+        return 0
+
+    def _write(self, data: EpisodeData) -> int:
+        try:
+            return self._files.append(data)
+        except OSError as error:
+            raise not_written(self._files.path_of(data.name), error) from error
+
+    def _passes(self, record: EpisodeRecord, run: RunInfo) -> bool:
+        passes = self._filter is None or self._filter(record, run)
+        if record.error or not passes:
+            self._tell(EpisodeDone(outcome_of(record, False), False, record.error))
+        return passes and not record.error
+
+    def close(self) -> None:
+        """Close the environment."""
+        self._stage.env.close()
+
+
+def _has_target(subtask: str | None) -> bool:
+    """Whether the subtask has a target object or link; whole tasks and Navigate have none."""
+    return bool(subtask) and not SUBTASKS[subtask].navigates
+
+
+def outcome_of(record: EpisodeRecord, passes: bool) -> Outcome:
+    """The part of an episode that quotas count. Each object or link has its own quota; chains and Navigate have one."""
+    target = target_of(record) if _has_target(record.subtask) else ALL
+    return Outcome(record.index, target, last_label(record), passes, record.skipped_homes)
+
+
+def _nobody(message: Message) -> None:
+    """Ignore a message."""

@@ -1,9 +1,9 @@
-"""One writer per file or folder, and readers that wait while it changes: advisory locks that die with their process.
+"""One writer per file or folder: advisory locks that die with their process.
 
-The one module that knows how the system locks. Writers use `filelock`. Readers ask the system itself (``flock``), since
-they need a shared lock that writes nothing: a data set may lie on a read-only disk, and two readers must not take each
-other for a writer. filelock has such a lock only as an SQLite file beside (3.4 ms per use on two busy cores; ``flock``
-on the folder takes 0.02 ms). Systems without ``flock`` go without the readers' locks.
+The one module that knows how the system locks. Writers use `filelock`. Whoever only looks asks the system itself
+(``flock``), for a shared lock that writes nothing: a data set may lie on a read-only disk, and two who look must not
+take each other for a writer. filelock has such a lock only as an SQLite file beside (3.4 ms per use on two busy cores;
+``flock`` takes 0.02 ms). Systems without ``flock`` go without.
 """
 
 from __future__ import annotations
@@ -12,8 +12,6 @@ import contextlib
 import errno
 import os
 import socket
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 from mjhab.core.errors import UsageError
@@ -89,7 +87,7 @@ def is_written(path: Path) -> bool:
     except FileNotFoundError:
         return False
     try:
-        return not _share(fd, wait=False)
+        return not _share(fd)
     finally:
         os.close(fd)
 
@@ -104,33 +102,11 @@ def refuse_if_written(path: Path, what: Path | None = None) -> None:
         raise _is_taken(path, what, _owner(lock_path(path)))
 
 
-@contextmanager
-def quiet(path: Path, change: bool = False) -> Iterator[None]:
-    """Lock a file for milliseconds against changes or, with ``change``, also against being opened by `quiet`.
-
-    For formats that are no valid file while they change (HDF5 may crash if it reads the index of such a file). The lock
-    is on the folder, because libraries lock the file itself for as long as they have it open.
-    """
-    if fcntl is None:
-        yield
-        return
-    fd = os.open(path.parent, os.O_RDONLY)
-    try:
-        if change:
-            with contextlib.suppress(OSError):
-                fcntl.flock(fd, fcntl.LOCK_EX)
-        else:
-            _share(fd, wait=True)
-        yield
-    finally:
-        os.close(fd)
-
-
-def _share(fd: int, wait: bool) -> bool:
-    """Take a shared lock until ``fd`` is closed; False if that would have to ``wait`` and may not."""
+def _share(fd: int) -> bool:
+    """Take a shared lock until ``fd`` is closed; False if a writer has the file."""
     if fcntl is not None:
         try:
-            fcntl.flock(fd, fcntl.LOCK_SH | (0 if wait else fcntl.LOCK_NB))
+            fcntl.flock(fd, fcntl.LOCK_SH | fcntl.LOCK_NB)
         except BlockingIOError:
             return False
         except OSError:

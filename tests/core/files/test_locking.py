@@ -91,7 +91,7 @@ def test_a_system_without_flock_reads_on(
     monkeypatch.setitem(sys.modules, "fcntl", None)
     spec.loader.exec_module(locking)
     file = tmp_path / "data"
-    with locking.WriteLock(file), locking.quiet(file, change=True):
+    with locking.WriteLock(file):
         assert not locking.is_written(file)
 
 

@@ -183,7 +183,7 @@ def _act_at_random(spec: SoakSpec) -> dict[str, Any]:
 
 
 def _generate(spec: SoakSpec) -> dict[str, Any]:
-    from mjhab.data.record.generation import Standing
+    from mjhab.data.record.job import Standing
     from mjhab.evaluation.generate import GenerateSpec, run_generation
 
     curve = MemoryCurve(spec.generate)

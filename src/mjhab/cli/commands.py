@@ -227,6 +227,12 @@ COMMANDS: tuple[Command, ...] = (
         "datasets.data:run_data",
     ),
     Command(
+        "data pack",
+        "make shards of a recorded data set",
+        "cli.options.datasets.data:DataPackOptions",
+        "datasets.data:run_data",
+    ),
+    Command(
         "data import",
         "read the data of MS-HAB",
         "cli.options.datasets.data:DataImportOptions",

@@ -23,7 +23,7 @@ from mjhab.data.select.query import Filter
 from mjhab.data.select.sets import select, stats
 from mjhab.data.store.checking import check
 from mjhab.data.store.images import ImageFormat
-from mjhab.data.store.object_axes import shown_objects
+from mjhab.data.store.older.object_axes import shown_objects
 from mjhab.data.store.places import episodes
 from mjhab.render.film import FilmWriter
 from mjhab.reports.dataset import render_data_report

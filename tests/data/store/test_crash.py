@@ -23,7 +23,7 @@ from mjhab.data.store.checking import check, repair
 from mjhab.data.store.episode_data import EpisodeData
 from mjhab.data.store.episode_files import INDEX, EpisodeFiles, part_folder
 from mjhab.data.store.hdf5 import dataset, group
-from mjhab.data.store.older_journal import journal_path
+from mjhab.data.store.older.journal import journal_path
 from mjhab.data.store.packing import pack
 from mjhab.data.store.places import episodes
 from mjhab.data.store.reading import open_shard

@@ -6,8 +6,9 @@ import contextlib
 import errno
 import os
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
+from typing import Any
 
 from mjhab.core.errors import UsageError
 from mjhab.core.files.reading import reason
@@ -118,3 +119,12 @@ def _shown(path: Path) -> str:
         if len(text) <= _MAX_SHOWN_CHARACTERS
         else f"{text[:_MAX_SHOWN_CHARACTERS]}..."
     )
+
+
+def differences(before: Mapping[str, Any], now: Mapping[str, Any]) -> str:
+    """Describe how the options that a folder was begun with differ from the present ones; "" if they are equal."""
+    other = sorted(key for key in {*before, *now} if before.get(key) != now.get(key))
+    values = "; ".join(
+        f"{key}: {before.get(key)!r}, now {now.get(key)!r}" for key in other
+    )
+    return f"{', '.join(other)} ({values})" if other else ""

@@ -27,6 +27,7 @@ from mjhab.core.files.reading import read_json_object
 from mjhab.core.names import below
 from mjhab.data.export.conventions import CONVENTIONS
 from mjhab.data.export.request import ExportRequest
+from mjhab.data.export.staging import Target, whole_folder
 from mjhab.data.imports.ms_hab_layout import (
     SOURCE_TYPE,
     TRAJECTORY,
@@ -42,10 +43,9 @@ from mjhab.data.store.damage import refuse_damage
 from mjhab.data.store.episode_data import last_label
 from mjhab.data.store.hdf5 import drop_unfinished, new_file
 from mjhab.data.store.hdf5 import group as subgroup
-from mjhab.data.store.older import OBJECT_POSE
+from mjhab.data.store.older.schemas import OBJECT_POSE
 from mjhab.data.store.places import Place
 from mjhab.data.store.reading import RecordedEpisode, open_shard
-from mjhab.data.store.staging import Target, whole_folder
 from mjhab.rollout.records import EpisodeRecord
 
 CHAIN = "sequential_task"

@@ -35,8 +35,8 @@ from mjhab.data.imports.ms_hab_layout import (
 from mjhab.data.imports.ms_hab_trajectory import trajectory_arrays, trajectory_ending
 from mjhab.data.store.episode_data import EpisodeData, RunInfo
 from mjhab.data.store.hdf5 import group, read_attributes
-from mjhab.data.store.object_axes import shown_objects
-from mjhab.data.store.older import OLDER_SCANNED
+from mjhab.data.store.older.object_axes import shown_objects
+from mjhab.data.store.older.schemas import OLDER_SCANNED
 from mjhab.data.store.reading import UNREADABLE
 from mjhab.data.store.run_entries import SCAN_YAWS
 from mjhab.data.store.schema import FORMAT

@@ -11,7 +11,7 @@ from mjhab.core.conventions.changes import to_scan_axes
 from mjhab.core.rotations import quat_canonical
 from mjhab.data.store.hdf5 import content, dataset, dataset_paths, group
 from mjhab.data.store.images import ImageFormat, encode
-from mjhab.data.store.older import OBJECT_POSE
+from mjhab.data.store.older.schemas import OBJECT_POSE
 
 POSE = re.compile(r"pose_wrt_base$")
 _CAMERAS = "sensor_data"

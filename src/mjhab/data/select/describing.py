@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from mjhab.data.store.older import OBJECT_POSE, OLDER_JOINTS
+from mjhab.data.store.older.schemas import OBJECT_POSE, OLDER_JOINTS
 from mjhab.data.store.reading import RecordedEpisode
 from mjhab.rollout.records import EpisodeRecord
 from mjhab.tasks.instructions import (

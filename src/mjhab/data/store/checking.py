@@ -12,7 +12,7 @@ from mjhab.core.errors import UsageError
 from mjhab.core.files.locking import WriteLock, is_written
 from mjhab.data.store.damage import problems_in
 from mjhab.data.store.episode_files import is_episode_file, part_folder
-from mjhab.data.store.older_journal import finish_change, journal_path
+from mjhab.data.store.older.journal import finish_change, journal_path
 from mjhab.data.store.places import is_leftover, shard_paths
 from mjhab.data.store.reading import open_shard
 from mjhab.data.store.schema import DamagedError

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from mjhab.core.files.reading import parse_json
-from mjhab.data.store.older import OLDER_ROBOT
+from mjhab.data.store.older.schemas import OLDER_ROBOT
 from mjhab.data.store.run_entries import check_entries
 from mjhab.data.store.schema import ENDINGS, VERSION, column_widths, problems
 from mjhab.rollout.records import EpisodeRecord

@@ -32,8 +32,9 @@ from mjhab.data.store.hdf5 import (
     stated_length,
 )
 from mjhab.data.store.images import MAX_FRAME_BYTES, decode
-from mjhab.data.store.object_axes import headings
-from mjhab.data.store.older import (
+from mjhab.data.store.older.journal import journal_path
+from mjhab.data.store.older.object_axes import headings
+from mjhab.data.store.older.schemas import (
     OLDER_AXES,
     POSES,
     STAND_INS,
@@ -42,7 +43,6 @@ from mjhab.data.store.older import (
     stand_in,
     turned_poses,
 )
-from mjhab.data.store.older_journal import journal_path
 from mjhab.data.store.schema import (
     ATTRIBUTE_TYPES,
     COLUMNS,

@@ -11,7 +11,7 @@ from mjhab.core.files.locking import WriteLock
 from mjhab.data.store.episode_data import EpisodeData, RunInfo
 from mjhab.data.store.episode_files import EpisodeFiles, part_folder
 from mjhab.data.store.hdf5 import drop_unfinished
-from mjhab.data.store.older_journal import finish_change
+from mjhab.data.store.older.journal import finish_change
 from mjhab.data.store.reading import open_shard
 from mjhab.data.store.storage import broken, not_written
 from mjhab.data.store.writing import write_shard

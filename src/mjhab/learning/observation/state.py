@@ -11,7 +11,7 @@ from mjhab.core.arrays import Array
 from mjhab.core.conventions.changes import change_axes, within_half_a_turn
 from mjhab.core.conventions.names import WRAPPED, Conventions
 from mjhab.core.errors import UsageError
-from mjhab.data.store.older import OBJECT_POSE
+from mjhab.data.store.older.schemas import OBJECT_POSE
 from mjhab.data.store.reading import RecordedEpisode
 from mjhab.robots.registry import robot_named
 

@@ -45,6 +45,7 @@ from mjhab.data.export.lerobot.stats import (
     vector_stats,
 )
 from mjhab.data.export.request import ExportRequest
+from mjhab.data.export.staging import Target, whole_folder
 from mjhab.data.select.describing import (
     instructions_of,
     navigates_by_teleport,
@@ -55,9 +56,8 @@ from mjhab.data.select.sets import nothing_passes, select
 from mjhab.data.select.until import Until
 from mjhab.data.store.damage import refuse_damage
 from mjhab.data.store.episode_data import last_label
-from mjhab.data.store.older import OLDER_ROBOT
+from mjhab.data.store.older.schemas import OLDER_ROBOT
 from mjhab.data.store.reading import RecordedEpisode, open_shard
-from mjhab.data.store.staging import Target, whole_folder
 
 INFO = "meta/info.json"
 """Description of the data set; every LeRobot data set has it."""

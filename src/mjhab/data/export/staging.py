@@ -14,6 +14,7 @@ from typing import Any
 from mjhab.core.errors import MjhabError, UsageError
 from mjhab.core.files.cache import write_atomic
 from mjhab.core.files.locking import WriteLock
+from mjhab.core.files.outputs import differences
 from mjhab.core.files.reading import read_json_object
 from mjhab.core.version import __version__
 from mjhab.data.store.storage import StorageError, is_full, reason_of
@@ -104,15 +105,6 @@ def whole_folder(target: Target, job: Mapping[str, Any]) -> Iterator[StagingDir]
             if isinstance(error, OSError) or is_full(error):
                 raise _stopped(target.out, error) from error
             raise
-
-
-def differences(before: Mapping[str, Any], now: Mapping[str, Any]) -> str:
-    """Describe how the job of an unfinished folder differs from the present one; "" if they are equal."""
-    other = sorted(key for key in {*before, *now} if before.get(key) != now.get(key))
-    values = "; ".join(
-        f"{key}: {before.get(key)!r}, now {now.get(key)!r}" for key in other
-    )
-    return f"{', '.join(other)} ({values})" if other else ""
 
 
 def _stopped(out: Path, error: Exception) -> StorageError:

@@ -1,0 +1,1 @@
+"""What older versions of mjhab wrote, read as what the present one writes."""

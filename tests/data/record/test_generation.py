@@ -48,7 +48,7 @@ def reference(tmp_path_factory: pytest.TempPathFactory) -> dict[int, str]:
     assert (
         done.tried > COUNT and done.passed >= COUNT and sum(done.labels.values()) == COUNT
     )
-    assert done.bytes == sum(path.stat().st_size for path in out.glob("*.h5"))
+    assert done.bytes == sum(path.stat().st_size for path in out.rglob("*.h5"))
     return kept(out)
 
 
@@ -319,7 +319,7 @@ def test_nobody_packs_what_is_being_generated_nor_the_other_way_round(
 ) -> None:
     work = job(tmp_path, episodes=3)
     with pytest.raises(UsageError, match="is being written"):
-        generate(work, InlinePool(), lambda _: pack(tmp_path))
+        generate(work, InlinePool(), lambda now: now.written and pack(tmp_path))
     with lock_set(tmp_path), pytest.raises(UsageError, match="is being written"):
         generate(work, InlinePool(), resume=True)
     assert generate(work, InlinePool(), resume=True).kept == pack(tmp_path).episodes == 3

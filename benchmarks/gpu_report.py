@@ -204,7 +204,7 @@ def report(out: Path, names: Sequence[str] = ()) -> None:
     made = {"date": datetime.date.today().isoformat(), "version": __version__}
     head = made | {"machine": machine(), "note": None if has_gpu else NO_GPU}
     for name in names or [name for name in MEASURES if name != left_out]:
-        told = {"command": f"python -m mjhab.bench.gpu_report docs/results {name}"}
+        told = {"command": f"python -m benchmarks.gpu_report docs/results {name}"}
         text = json.dumps(told | head | MEASURES[name](has_gpu), indent=1) + "\n"
         path = out / f"gpu-{name}.json"
         write_atomic(

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+import mjhab
 from benchmarks import gpu_report
 from benchmarks.parity import run as bench_parity
 from benchmarks.parity.__main__ import main as parity_main
@@ -481,7 +482,10 @@ def test_report_on_a_gpu_measures_large_batches(
         f"gpu-{name}" for name in ("memory", "interact", "env", "sleep", "parity")
     }
     parity = found["gpu-parity"]
-    assert parity.pop("machine") and parity == {
+    assert parity.pop("machine") and parity.pop("date")
+    assert parity == {
+        "version": mjhab.__version__,
+        "command": "python -m benchmarks.gpu_report docs/results parity",
         "note": None,
         "what": "parity",
         "episodes": 200,

@@ -36,7 +36,7 @@ class ArmRequest:
     like: Array
 
 
-class Arm:
+class ArmController:
     """Base class of arm controllers, for an arm of A joints in W worlds.
 
     Its arrays, and the arguments of its methods, have the library, device and dtype of ``request.like``.
@@ -105,7 +105,7 @@ def with_row(target: Array, world: int, state: dict[str, np.ndarray], key: str) 
     return target
 
 
-class CommandedArm(Arm, ABC):
+class CommandedArm(ArmController, ABC):
     """An arm controller that computes its own commands, unlike `JointDelta`."""
 
     @abstractmethod
@@ -118,7 +118,7 @@ class CommandedArm(Arm, ABC):
         """
 
 
-class JointDelta(Arm):
+class JointDelta(ArmController):
     """``pd_joint_delta_pos``: measured position + change, which `Controller` adds together with head and torso."""
 
     def __init__(self, request: ArmRequest) -> None:

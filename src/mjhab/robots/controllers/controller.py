@@ -78,7 +78,7 @@ class Controller:
         self,
         mode: str,
         robot: Robot,
-        arm: Arm,
+        arm: ArmController,
         options: BodyOptions,
     ) -> None:
         stiff_body = options.stiff

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from mjhab.core.errors import wrong_type, wrong_value
 from mjhab.core.names import check_name
 from mjhab.core.registration.registry import Registry, check_item
-from mjhab.robots.controllers.arm import Arm, ArmRequest
+from mjhab.robots.controllers.arm import ArmController, ArmRequest
 
 DEFAULT_MODE = "pd_joint_delta_pos"
 """The control mode of MS-HAB, which all experts use."""
@@ -37,7 +37,7 @@ class ControlMode:
 
     Attributes:
         name: name in ``mjhab.make(control_mode=...)``.
-        make_arm: returns the `Arm` that turns the arm's entries of actions into servo commands.
+        make_arm: returns the `ArmController` that turns the arm's entries of actions into servo commands.
         stiff_body: head and torso take absolute positions [rad, m] with stiff servos, instead of changes.
 
     Raises:
@@ -45,7 +45,7 @@ class ControlMode:
     """
 
     name: str
-    make_arm: Callable[[ArmRequest], Arm]
+    make_arm: Callable[[ArmRequest], ArmController]
     stiff_body: bool = False
 
     def __post_init__(self) -> None:
@@ -58,11 +58,11 @@ class ControlMode:
                 where=f"control mode {self.name!r}",
             )
 
-    def arm(self, request: ArmRequest) -> Arm:
+    def arm(self, request: ArmRequest) -> ArmController:
         """Make the arm controller for a request.
 
         Raises:
-            UsageError: ``make_arm`` does not return an `Arm`.
+            UsageError: ``make_arm`` does not return an `ArmController`.
         """
         arm = self.make_arm(request)
         if not isinstance(arm, Arm):

@@ -25,7 +25,7 @@ class _Poses:
     body_mat: np.ndarray
 
 
-class Cameras:
+class CameraThread:
     """Render the newest requested state in a thread; requests that arrive while it renders replace each other.
 
     Args:

@@ -28,7 +28,7 @@ from mjhab.render.home_scene import build_render_scene
 from mjhab.reports.pages import base64_text, render_page
 from mjhab.reports.plots import event_tone, kind_color
 from mjhab.tasks.rewards.scoring import term_names
-from mjhab.viewer.drawn.cameras import Cameras
+from mjhab.viewer.drawn.cameras import CameraThread
 from mjhab.viewer.drawn.models import HomeModels, Look, Model, home_models
 from mjhab.viewer.drawn.posing import Poser, base_of
 from mjhab.viewer.pages.timeline import TONE_COLORS, actor_colors, subtask_spans
@@ -298,7 +298,7 @@ def _views(
     track: Track, replay: Replay, states: list[int]
 ) -> Iterator[dict[str, np.ndarray]]:
     poser = Poser(replay.sim)
-    cameras = Cameras(lambda _: None, PICTURE_SIDE_PX)
+    cameras = CameraThread(lambda _: None, PICTURE_SIDE_PX)
     try:
         for state in states:
             pose = poser.pose(track.home, track.moments[state].qpos)

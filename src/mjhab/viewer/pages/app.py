@@ -20,7 +20,7 @@ from mjhab.render.home_scene import build_render_scene
 from mjhab.render.render_scene import RenderScene
 from mjhab.serving.server import LOCAL_HOSTS
 from mjhab.sim.mujoco.cpu import CpuSimulator
-from mjhab.viewer.drawn.cameras import Cameras
+from mjhab.viewer.drawn.cameras import CameraThread
 from mjhab.viewer.drawn.glb import HomeFiles, home_digest, home_files
 from mjhab.viewer.drawn.models import HomeModels, home_models
 from mjhab.viewer.drawn.posing import Pose, Poser, base_of, between
@@ -100,7 +100,7 @@ class Viewer:
             others=host in LOCAL_HOSTS,
             on=self._start.letting_go(self.playhead.callbacks()),
         )
-        self._cameras = Cameras(self.panels.show_images) if cameras else None
+        self._cameras = CameraThread(self.panels.show_images) if cameras else None
         self._poses = _PoseCache()
         self._scene: tuple[CpuSimulator, RenderScene] | None = None
         self._shown: Track | None = None

@@ -51,7 +51,7 @@ _TOP = 65535.0
 
 
 @dataclass(frozen=True)
-class Exported:
+class ExportedPage:
     """A page that was written. file: its path. bytes: its size. frames: number of states in it."""
 
     file: Path
@@ -59,7 +59,7 @@ class Exported:
     frames: int
 
 
-def export_page(replay: Replay, title: str, file: Path) -> Exported:
+def export_page(replay: Replay, title: str, file: Path) -> ExportedPage:
     """Write a recorded episode as a page.
 
     Args:
@@ -81,7 +81,7 @@ def export_page(replay: Replay, title: str, file: Path) -> Exported:
         size = len(page)
         if size <= MAX_BYTES:
             write_atomic(file, lambda temporary, page=page: temporary.write_bytes(page))
-            return Exported(file, size, len(track.moments))
+            return ExportedPage(file, size, len(track.moments))
     raise MjhabError(
         f"the page of episode {title} takes {size:,} bytes, more than {MAX_BYTES:,}: its {track.last} steps are too "
         "many for one file."

@@ -13,7 +13,7 @@ from mjhab.scenes.builtin.homes import MAX_REACH_TO_CENTER_M
 from mjhab.scenes.freespace import NAVMESH_BASE_RADIUS_M, free_map, reach
 from mjhab.scenes.pack_check import check_range
 from mjhab.scenes.roles import plays, roles_of
-from mjhab.scenes.shapes.footprints import Footprint, footprint, outline
+from mjhab.scenes.shapes.footprints import FloorPolygon, footprint, outline
 from mjhab.scenes.spec import Home, Pack, Placement
 
 MIN_FLOOR_M = 1.5
@@ -114,24 +114,24 @@ def _named(placement: Placement) -> str:
     return f"{placement.template!r} at [{x:g}, {y:g}]"
 
 
-def _shrunk(area: Footprint) -> Footprint:
+def _shrunk(area: FloorPolygon) -> FloorPolygon:
     """A footprint shrunk by `MAX_OVERLAP_M` on every side."""
     middle = area.corners.mean(axis=0)
     away = area.corners - middle
     size = np.linalg.norm(away, axis=1, keepdims=True)
     corners = middle + away * np.maximum(1.0 - np.sqrt(2.0) * MAX_OVERLAP_M / size, 0.0)
     low, high = area.z
-    return Footprint(area.name, corners, (low + MAX_OVERLAP_M, high - MAX_OVERLAP_M))
+    return FloorPolygon(area.name, corners, (low + MAX_OVERLAP_M, high - MAX_OVERLAP_M))
 
 
-def _wall_area(home: Home, index: int) -> Footprint:
+def _wall_area(home: Home, index: int) -> FloorPolygon:
     wall = home.walls[index]
     points = outline(wall)
     half = np.array(wall.size[:2])
     signs = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
     turn = mat_from_quat(np.array(wall.quat))[:2, :2]
     corners = (signs * half) @ turn.T + np.array(wall.pos[:2])
-    return Footprint(
+    return FloorPolygon(
         "wall", corners, (float(points[:, 2].min()), float(points[:, 2].max()))
     )
 

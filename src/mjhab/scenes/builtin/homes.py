@@ -19,7 +19,7 @@ from mjhab.scenes.builtin.furniture import builtin_articulations, builtin_props
 from mjhab.scenes.builtin.home_cache import cached_homes
 from mjhab.scenes.builtin.home_plans import HARD, PLANS, SMALL, Piece, Plan, Wall
 from mjhab.scenes.freespace import NAVMESH_BASE_RADIUS_M, free_map, reach
-from mjhab.scenes.shapes.footprints import Footprint, footprint, rectangle
+from mjhab.scenes.shapes.footprints import FloorPolygon, footprint, rectangle
 from mjhab.scenes.shapes.shapes import span
 from mjhab.scenes.spec import Articulation, Geom, Home, Light, Pack, Placement, Prop
 
@@ -242,7 +242,7 @@ def usable(home: Home, pack: Pack) -> bool:
 
 
 def _try_furnish(
-    plan: Plan, micro: int, rng: np.random.Generator, taken: list[Footprint]
+    plan: Plan, micro: int, rng: np.random.Generator, taken: list[FloorPolygon]
 ) -> tuple[Placement, ...] | None:
     order = np.arange(len(plan.spots)) if micro == 0 else rng.permutation(len(plan.spots))
     small = [
@@ -274,21 +274,21 @@ def keep_clear(macro: int, micro: int) -> dict[str, Zone]:
     }
 
 
-def _blocked(plan: Plan, clear: dict[str, Zone]) -> list[Footprint]:
+def _blocked(plan: Plan, clear: dict[str, Zone]) -> list[FloorPolygon]:
     """Footprints of walls, kitchen and clear zones, which props must not overlap."""
     taken = []
     for wall in wall_geoms(plan):
         (x, y, _) = wall.pos
         (hx, hy, hz) = wall.size
         corners = rectangle(Placement("wall", (x, y, 0.0)), (-hx, hx), (-hy, hy))
-        taken.append(Footprint("wall", corners, (0.0, 2 * hz)))
+        taken.append(FloorPolygon("wall", corners, (0.0, 2 * hz)))
     for piece in plan.kitchen:
         at = _place(piece)
         body = footprint(at, _template(at.template))
         assert body is not None
         taken.append(body)
         taken.append(
-            Footprint("zone", rectangle(at, *clear[at.template]), (0.0, WALL_HEIGHT_M))
+            FloorPolygon("zone", rectangle(at, *clear[at.template]), (0.0, WALL_HEIGHT_M))
         )
     return taken
 
@@ -304,7 +304,7 @@ def _template(name: str) -> Prop | Articulation:
 
 
 def _settle(
-    placement: Placement, taken: list[Footprint], rng: np.random.Generator, tries: int
+    placement: Placement, taken: list[FloorPolygon], rng: np.random.Generator, tries: int
 ) -> Placement | None:
     """Sample shifted poses until one is free and append its footprint to ``taken``; None after ``tries`` failures."""
     movable = tries > 1

@@ -15,7 +15,7 @@ from mjhab.scenes.spec import Articulation, Geom, Placement, Prop
 
 
 @dataclass(frozen=True, eq=False)
-class Footprint:
+class FloorPolygon:
     """A convex polygon on the floor with a height interval, in the world: ``corners`` (N, 2), ``z`` (low, high) [m]."""
 
     name: str
@@ -28,7 +28,7 @@ class Footprint:
         x, y = self.corners.T.tolist()
         return min(x), min(y), max(x), max(y)
 
-    def meets(self, other: Footprint) -> bool:
+    def meets(self, other: FloorPolygon) -> bool:
         """Return whether the two overlap in plan and height."""
         a = self.box
         b = other.box
@@ -127,7 +127,7 @@ def _extent(template: Prop | Articulation) -> np.ndarray | None:
     return bounds(geoms) if geoms else None
 
 
-def footprint(placement: Placement, template: Prop | Articulation) -> Footprint | None:
+def footprint(placement: Placement, template: Prop | Articulation) -> FloorPolygon | None:
     """Compute the footprint of a placed template: its bounding rectangle; None if it has no colliding geom."""
     extent = _extent(template)
     if extent is None:
@@ -135,7 +135,7 @@ def footprint(placement: Placement, template: Prop | Articulation) -> Footprint 
     low, high = extent
     corners = rectangle(placement, (low[0], high[0]), (low[1], high[1]))
     lift = placement.pos[2]
-    return Footprint(placement.template, corners, (low[2] + lift, high[2] + lift))
+    return FloorPolygon(placement.template, corners, (low[2] + lift, high[2] + lift))
 
 
 def meet(a: np.ndarray, b: np.ndarray, gap: float = 0.0) -> bool:

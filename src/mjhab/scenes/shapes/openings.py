@@ -8,7 +8,7 @@ import numpy as np
 from scipy.spatial import ConvexHull
 
 from mjhab.core.rotations import mat_from_quat
-from mjhab.scenes.shapes.footprints import Footprint, outline
+from mjhab.scenes.shapes.footprints import FloorPolygon, outline
 from mjhab.scenes.spec import Geom, Home, Link, Pack, Placement
 
 _SWEEP_POSES = 24
@@ -67,13 +67,14 @@ def _ends(pack: Pack) -> dict[str, float]:
     }
 
 
-def _travel(link: Link, at: Placement, around: list[Footprint]) -> float:
+def _travel(link: Link, at: Placement, around: list[FloorPolygon]) -> float:
     low, high = link.range
     pieces = [_flat(g, link, at.pos[2]) for g in link.geoms if g.collide]
 
     def free(q: float) -> bool:
         moved = [
-            Footprint(link.name, _moved(corners, link, at, q), z) for corners, z in pieces
+            FloorPolygon(link.name, _moved(corners, link, at, q), z)
+            for corners, z in pieces
         ]
         return not any(piece.meets(other) for piece in moved for other in around)
 
@@ -120,7 +121,7 @@ def _turn(angle: float) -> np.ndarray:
     return np.array([[c, s], [-s, c]])
 
 
-def _solids(home: Home, pack: Pack, opening: Placement) -> list[Footprint]:
+def _solids(home: Home, pack: Pack, opening: Placement) -> list[FloorPolygon]:
     """Footprints of walls, and of other furniture within 3 m of the piece that opens."""
     here = Placement("", (0.0, 0.0, 0.0))
     solid = [_solid(g, here, pack, "wall") for g in home.walls if g.collide]
@@ -142,12 +143,12 @@ def _solids(home: Home, pack: Pack, opening: Placement) -> list[Footprint]:
     return solid
 
 
-def _solid(geom: Geom, at: Placement, pack: Pack, name: str) -> Footprint:
+def _solid(geom: Geom, at: Placement, pack: Pack, name: str) -> FloorPolygon:
     points = outline(geom, pack.meshes) @ mat_from_quat(
         np.array(at.rotation)
     ).T + np.array(at.pos)
     flat = np.unique(points[:, :2].round(9), axis=0)
-    return Footprint(
+    return FloorPolygon(
         name,
         flat[ConvexHull(flat).vertices],
         (float(points[:, 2].min()), float(points[:, 2].max())),

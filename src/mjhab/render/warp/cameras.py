@@ -165,7 +165,7 @@ class WarpCameras:
         return worlds
 
     def _make_frame(self) -> Any:
-        frame = warp_tracing.Frame()
+        frame = warp_tracing.TracedFrame()
         (height, width) = self._size
         self._chunk = min(WORLDS_AT_ONCE, self._sim.num_worlds)
         tile = warp_tracing.TILE

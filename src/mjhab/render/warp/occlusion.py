@@ -10,7 +10,7 @@ import warp as wp
 
 from mjhab.render.raster import occlusion
 from mjhab.render.warp.looks import Looks
-from mjhab.render.warp.tracing import Frame, Worlds, is_drawn
+from mjhab.render.warp.tracing import TracedFrame, Worlds, is_drawn
 
 wp.set_module_options({"enable_backward": False})
 
@@ -52,7 +52,9 @@ def _slope(inverse: wp.array3d[float], k: int, c: int, at: int, before: int, aft
 
 
 @wp.kernel
-def block_cells(looks: Looks, worlds: Worlds, frame: Frame, cells: Cells, first: int):
+def block_cells(
+    looks: Looks, worlds: Worlds, frame: TracedFrame, cells: Cells, first: int
+):
     """Compute ``raw`` and ``depths`` of the K worlds from ``first`` on, at the middle pixel of every cell."""
     k, c, at = wp.tid()
     if not is_drawn(worlds, first + k):
@@ -160,7 +162,9 @@ def _openness(cells: Cells, k: int, c: int, row: float, col: float, depth: float
 
 
 @wp.func
-def open_share_at(cells: Cells, frame: Frame, k: int, c: int, pixel: int, depth: float):
+def open_share_at(
+    cells: Cells, frame: TracedFrame, k: int, c: int, pixel: int, depth: float
+):
     """Openness 0.15..1 at a pixel (row * width + column) whose depth is given [m]."""
     row = (float(pixel // frame.width) + 0.5) / float(cells.cell)
     column = (float(pixel % frame.width) + 0.5) / float(cells.cell)

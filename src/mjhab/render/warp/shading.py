@@ -17,9 +17,9 @@ from mjhab.render.warp.looks import Looks
 from mjhab.render.warp.occlusion import Cells, open_share_at
 from mjhab.render.warp.texturing import pattern_color, picture_color
 from mjhab.render.warp.tracing import (
-    Frame,
     Movers,
     Stills,
+    TracedFrame,
     Worlds,
     is_drawn,
     mover_of,
@@ -123,7 +123,7 @@ class Shown:
 def _shown(
     stills: Stills, movers: Movers, worlds: Worlds, world: int, home: int, tag: int
 ):
-    """The face that an entry of ``Frame.ids`` stands for."""
+    """The face that an entry of ``TracedFrame.ids`` stands for."""
     shown = Shown()
     if tag >= 0:
         still = still_of(stills, home, tag)
@@ -225,7 +225,7 @@ def shade(
     stills: Stills,
     movers: Movers,
     worlds: Worlds,
-    frame: Frame,
+    frame: TracedFrame,
     cells: Cells,
     first: int,
     rgb: wp.array4d[wp.vec3ub],

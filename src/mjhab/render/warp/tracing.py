@@ -94,7 +94,7 @@ class Worlds:
 
 
 @wp.struct
-class Frame:
+class TracedFrame:
     """Intermediate results of K worlds that are rendered together.
 
     focal (C,): focal lengths [px]. width, height: of the images [px]. columns: tiles per row. near: nearest depth [m].
@@ -123,7 +123,7 @@ def is_drawn(worlds: Worlds, world: int):
 
 
 @wp.func
-def pixel_slopes(frame: Frame, c: int, pixel: int):
+def pixel_slopes(frame: TracedFrame, c: int, pixel: int):
     """Slopes (right, up) of the ray through the centre of a pixel (row * width + column) of camera ``c``."""
     x = float(pixel % frame.width) + 0.5
     y = float(pixel // frame.width) + 0.5
@@ -135,14 +135,14 @@ def pixel_slopes(frame: Frame, c: int, pixel: int):
 
 @wp.func
 def still_of(stills: Stills, home: int, tag: int):
-    """Instance and face in the render scene of a static face, given its id ``tag`` in ``Frame.ids``."""
+    """Instance and face in the render scene of a static face, given its id ``tag`` in ``TracedFrame.ids``."""
     at = stills.face_start[home] + tag
     return wp.vec2i(stills.instance[at], stills.face[at])
 
 
 @wp.func
 def mover_of(movers: Movers, tag: int):
-    """Index of the mover, and face in the render scene, of a mover's face, given its id ``tag`` in ``Frame.ids``."""
+    """Index of the mover, and face in the render scene, of a mover's face, given its id ``tag`` in ``TracedFrame.ids``."""
     code = -1 - tag
     d = code >> TAG_BITS
     return wp.vec2i(d, movers.first_face[d] + (code & TAG_FACES))
@@ -196,7 +196,9 @@ def place_movers(
 
 
 @wp.kernel
-def list_movers(stills: Stills, movers: Movers, worlds: Worlds, frame: Frame, first: int):
+def list_movers(
+    stills: Stills, movers: Movers, worlds: Worlds, frame: TracedFrame, first: int
+):
     """List the movers whose bounding spheres overlap each image tile, for the worlds from ``first`` on."""
     k, c, tile = wp.tid()
     world = first + k
@@ -319,7 +321,7 @@ def trace(
     stills: Stills,
     movers: Movers,
     worlds: Worlds,
-    frame: Frame,
+    frame: TracedFrame,
     instance_seg: wp.array[int],
     first: int,
     depth: wp.array4d[float],

@@ -149,7 +149,7 @@ class WarpCameras:
         )
 
     def _make_worlds(self) -> Any:
-        worlds = warp_tracing.Worlds()
+        worlds = warp_tracing.TracedWorlds()
         count = self._sim.num_worlds
         movers = len(self._scene.movers.body)
         cameras = len(self._cameras)

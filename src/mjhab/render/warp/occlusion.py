@@ -10,7 +10,7 @@ import warp as wp
 
 from mjhab.render.raster import occlusion
 from mjhab.render.warp.looks import Looks
-from mjhab.render.warp.tracing import TracedFrame, Worlds, is_drawn
+from mjhab.render.warp.tracing import TracedFrame, TracedWorlds, is_drawn
 
 wp.set_module_options({"enable_backward": False})
 
@@ -53,7 +53,7 @@ def _slope(inverse: wp.array3d[float], k: int, c: int, at: int, before: int, aft
 
 @wp.kernel
 def block_cells(
-    looks: Looks, worlds: Worlds, frame: TracedFrame, cells: Cells, first: int
+    looks: Looks, worlds: TracedWorlds, frame: TracedFrame, cells: Cells, first: int
 ):
     """Compute ``raw`` and ``depths`` of the K worlds from ``first`` on, at the middle pixel of every cell."""
     k, c, at = wp.tid()
@@ -115,7 +115,7 @@ def block_cells(
 
 
 @wp.kernel
-def blur_cells(worlds: Worlds, cells: Cells, first: int):
+def blur_cells(worlds: TracedWorlds, cells: Cells, first: int):
     """Compute ``share`` of every cell from the mean ``raw`` of the 4 x 4 cells around it that have similar depth."""
     k, c, at = wp.tid()
     if not is_drawn(worlds, first + k):

@@ -20,7 +20,7 @@ from mjhab.render.warp.tracing import (
     Movers,
     Stills,
     TracedFrame,
-    Worlds,
+    TracedWorlds,
     is_drawn,
     mover_of,
     pixel_slopes,
@@ -121,7 +121,7 @@ class Shown:
 
 @wp.func
 def _shown(
-    stills: Stills, movers: Movers, worlds: Worlds, world: int, home: int, tag: int
+    stills: Stills, movers: Movers, worlds: TracedWorlds, world: int, home: int, tag: int
 ):
     """The face that an entry of ``TracedFrame.ids`` stands for."""
     shown = Shown()
@@ -224,7 +224,7 @@ def shade(
     looks: Looks,
     stills: Stills,
     movers: Movers,
-    worlds: Worlds,
+    worlds: TracedWorlds,
     frame: TracedFrame,
     cells: Cells,
     first: int,

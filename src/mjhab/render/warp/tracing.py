@@ -76,7 +76,7 @@ class Movers:
 
 
 @wp.struct
-class Worlds:
+class TracedWorlds:
     """State of all W worlds.
 
     wanted (W,): its images are to be rendered. home (W,): index of its home. sane (W,): its physics has not diverged.
@@ -115,7 +115,7 @@ class TracedFrame:
 
 
 @wp.func
-def is_drawn(worlds: Worlds, world: int):
+def is_drawn(worlds: TracedWorlds, world: int):
     """Whether the world exists and its images are requested; the pixels of other worlds stay unchanged."""
     if world >= worlds.wanted.shape[0]:
         return False
@@ -153,7 +153,7 @@ def find_homes(
     row: wp.array[int],
     home_of_row: wp.array[int],
     body_pos: wp.array2d[wp.vec3],
-    worlds: Worlds,
+    worlds: TracedWorlds,
 ):
     """Set the home of every world and whether its physics is sane (all body positions finite and near)."""
     world = wp.tid()
@@ -172,7 +172,7 @@ def place_cameras(
     mount_mat: wp.array[wp.mat33],
     body_pos: wp.array2d[wp.vec3],
     body_mat: wp.array2d[wp.mat33],
-    worlds: Worlds,
+    worlds: TracedWorlds,
 ):
     """Compute the world poses of the cameras from those of the bodies they are mounted on."""
     world, c = wp.tid()
@@ -186,7 +186,7 @@ def place_movers(
     movers: Movers,
     body_pos: wp.array2d[wp.vec3],
     body_mat: wp.array2d[wp.mat33],
-    worlds: Worlds,
+    worlds: TracedWorlds,
 ):
     """Compute the world poses of the movers from those of their bodies."""
     world, d = wp.tid()
@@ -197,7 +197,7 @@ def place_movers(
 
 @wp.kernel
 def list_movers(
-    stills: Stills, movers: Movers, worlds: Worlds, frame: TracedFrame, first: int
+    stills: Stills, movers: Movers, worlds: TracedWorlds, frame: TracedFrame, first: int
 ):
     """List the movers whose bounding spheres overlap each image tile, for the worlds from ``first`` on."""
     k, c, tile = wp.tid()
@@ -320,7 +320,7 @@ def _passes_ball(center: wp.vec3, radius: float, ray: wp.vec3, far: float):
 def trace(
     stills: Stills,
     movers: Movers,
-    worlds: Worlds,
+    worlds: TracedWorlds,
     frame: TracedFrame,
     instance_seg: wp.array[int],
     first: int,

@@ -18,7 +18,7 @@ from mjhab.scenes.builtin.materials import Material
 from mjhab.scenes.builtin.pack import builtin_pack
 from mjhab.scenes.shapes.meshes import Mesh
 from mjhab.viewer.drawn import glb as glb_file
-from mjhab.viewer.drawn.models import MAX_TEXTURE_SIDE, HomeModels, Model, home_models
+from mjhab.viewer.drawn.models import MAX_TEXTURE_SIDE, DrawnHome, Model, home_models
 from mjhab.viewer.drawn.posing import MAX_JUMP_M, Pose, Poser, between
 
 
@@ -33,7 +33,7 @@ def home(env: Any) -> int:
 
 
 @pytest.fixture(scope="module")
-def models(scene: RenderScene, home: int) -> HomeModels:
+def models(scene: RenderScene, home: int) -> DrawnHome:
     return home_models(scene, home)
 
 
@@ -42,7 +42,7 @@ def faces_of(model: Model) -> int:
 
 
 def test_every_face_is_drawn_once(
-    models: HomeModels, scene: RenderScene, home: int
+    models: DrawnHome, scene: RenderScene, home: int
 ) -> None:
     shown = (scene.home_scale[home] != 0.0).all(axis=1)
     drawn = int(scene.mesh_face_count[scene.instance_mesh[shown]].sum())
@@ -52,7 +52,7 @@ def test_every_face_is_drawn_once(
     assert sorted(bodies) == sorted(set(scene.instance_body[shown].tolist()) - {0})
 
 
-def test_equal_objects_share_their_mesh(models: HomeModels, env: Any) -> None:
+def test_equal_objects_share_their_mesh(models: DrawnHome, env: Any) -> None:
     bowls = {
         env.sim.addresses.object_body[i]
         for i, kind in enumerate(env.layout.roster)
@@ -63,7 +63,7 @@ def test_equal_objects_share_their_mesh(models: HomeModels, env: Any) -> None:
 
 
 def test_geometry_is_where_the_rasterizer_draws_it(
-    models: HomeModels, scene: RenderScene, home: int
+    models: DrawnHome, scene: RenderScene, home: int
 ) -> None:
     still = np.flatnonzero(
         (scene.instance_body == 0) & (scene.home_scale[home] != 0).all(axis=1)
@@ -83,7 +83,7 @@ def test_geometry_is_where_the_rasterizer_draws_it(
     np.testing.assert_allclose(vertices.max(axis=0), highest, atol=1e-4)
 
 
-def test_parts_are_fit_to_draw(models: HomeModels) -> None:
+def test_parts_are_fit_to_draw(models: DrawnHome) -> None:
     for model in (models.home, *models.movable):
         for part in model.parts:
             assert part.faces.max() < len(part.vertices)
@@ -97,7 +97,7 @@ def test_parts_are_fit_to_draw(models: HomeModels) -> None:
     assert len(models.lamp_pos) and (models.lamp_color > 0).any(axis=1).all()
 
 
-def test_a_file_holds_the_model(models: HomeModels) -> None:
+def test_a_file_holds_the_model(models: DrawnHome) -> None:
     model = models.movable[0]
     loaded = trimesh.load(io.BytesIO(glb_file.glb(model, models.looks)), file_type="glb")
     assert isinstance(loaded, trimesh.Scene)
@@ -105,10 +105,10 @@ def test_a_file_holds_the_model(models: HomeModels) -> None:
 
 
 def test_files_are_kept_on_disk(
-    models: HomeModels, env: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    models: DrawnHome, env: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("MJHAB_CACHE", str(tmp_path))
-    small = HomeModels(
+    small = DrawnHome(
         models.movable[0], models.movable[1:3], models.looks, *np.ones((2, 1, 3))
     )
     made = glb_file.home_files(env.layout, env.homes[0], lambda: small)

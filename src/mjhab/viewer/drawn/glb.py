@@ -23,7 +23,7 @@ from mjhab.layout.compile import home_hash
 from mjhab.layout.layout import Layout
 from mjhab.robots.robot import Robot
 from mjhab.scenes.shapes.meshes import Mesh, mesh_arrays
-from mjhab.viewer.drawn.models import HomeModels, Look, Model
+from mjhab.viewer.drawn.models import DrawnHome, Look, Model
 
 JPEG = "JPEG"
 
@@ -44,7 +44,7 @@ class HomeFiles:
     lamp_color: np.ndarray
 
 
-def home_files(layout: Layout, home: str, make: Callable[[], HomeModels]) -> HomeFiles:
+def home_files(layout: Layout, home: str, make: Callable[[], DrawnHome]) -> HomeFiles:
     """Return the files of a home of a layout, from the cache on disk if it has them.
 
     Args:

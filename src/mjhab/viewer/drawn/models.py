@@ -38,7 +38,7 @@ class Look:
 class Part:
     """Triangles of one material. V vertices, F faces.
 
-    look: index into `HomeModels.looks`. vertices (V, 3) f32 [m], normals (V, 3) f32, unit, in the frame of the body or
+    look: index into `DrawnHome.looks`. vertices (V, 3) f32 [m], normals (V, 3) f32, unit, in the frame of the body or
     the world; uv (V, 2) f32: texture coordinates, v = 0 at row 0 of the image; faces (F, 3) i32.
     """
 
@@ -58,7 +58,7 @@ class Model:
 
 
 @dataclass(frozen=True, eq=False)
-class HomeModels:
+class DrawnHome:
     """Everything visible in one home.
 
     home: the static model. movable: models of bodies. looks: the materials. lamp_pos (L, 3) [m], lamp_color (L, 3)
@@ -72,9 +72,7 @@ class HomeModels:
     lamp_color: np.ndarray
 
 
-def home_models(
-    scene: RenderScene, home: int, max_faces: int | None = None
-) -> HomeModels:
+def home_models(scene: RenderScene, home: int, max_faces: int | None = None) -> DrawnHome:
     """Compute the models of one home from a render scene.
 
     Args:
@@ -99,7 +97,7 @@ def home_models(
         for bodies in alike.values()
     )
     lit = scene.light_color[home].any(axis=1)
-    return HomeModels(
+    return DrawnHome(
         still,
         movable,
         tuple(looks.found),

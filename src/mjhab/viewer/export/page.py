@@ -29,7 +29,7 @@ from mjhab.reports.pages import base64_text, render_page
 from mjhab.reports.plots import event_tone, kind_color
 from mjhab.tasks.rewards.scoring import term_names
 from mjhab.viewer.drawn.cameras import CameraThread
-from mjhab.viewer.drawn.models import HomeModels, Look, Model, home_models
+from mjhab.viewer.drawn.models import DrawnHome, Look, Model, home_models
 from mjhab.viewer.drawn.posing import Poser, base_of
 from mjhab.viewer.pages.timeline import TONE_COLORS, actor_colors, subtask_spans
 from mjhab.viewer.sources.replay import Replay
@@ -88,7 +88,7 @@ def export_page(replay: Replay, title: str, file: Path) -> ExportedPage:
     )
 
 
-def _page(track: Track, models: HomeModels, replay: Replay, pictures: int) -> bytes:
+def _page(track: Track, models: DrawnHome, replay: Replay, pictures: int) -> bytes:
     block = _Block()
     header = _header(track, models, block)
     header["pose"] = _poses(track, models, replay, block)
@@ -132,7 +132,7 @@ def _padded(data: bytes) -> bytes:
     return data + b" " * (-len(data) % _ALIGNMENT)
 
 
-def _header(track: Track, models: HomeModels, block: _Block) -> dict[str, Any]:
+def _header(track: Track, models: DrawnHome, block: _Block) -> dict[str, Any]:
     moments = track.moments
     limits = [track.limit_at(step) for step in range(len(moments))]
     terms = list(dict.fromkeys(name for moment in moments for name in moment.terms))
@@ -227,7 +227,7 @@ def _model(model: Model, block: _Block) -> dict[str, Any]:
 
 
 def _poses(
-    track: Track, models: HomeModels, replay: Replay, block: _Block
+    track: Track, models: DrawnHome, replay: Replay, block: _Block
 ) -> dict[str, Any]:
     """Quantized positions and orientations of the movable bodies, as differences of states, which compress well."""
     poser = Poser(replay.sim)

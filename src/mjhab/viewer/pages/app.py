@@ -22,7 +22,7 @@ from mjhab.serving.server import LOCAL_HOSTS
 from mjhab.sim.mujoco.cpu import CpuSimulator
 from mjhab.viewer.drawn.cameras import CameraThread
 from mjhab.viewer.drawn.glb import HomeFiles, home_digest, home_files
-from mjhab.viewer.drawn.models import HomeModels, home_models
+from mjhab.viewer.drawn.models import DrawnHome, home_models
 from mjhab.viewer.drawn.posing import Pose, Poser, base_of, between
 from mjhab.viewer.drawn.stage import MIN_MOVE, Stage
 from mjhab.viewer.pages.gateway import Gateway
@@ -205,7 +205,7 @@ class Viewer:
     def _home(self, sim: CpuSimulator, home: str) -> HomeFiles:
         names = [h.name for h in sim.layout.pack.homes]
 
-        def make() -> HomeModels:
+        def make() -> DrawnHome:
             if self._scene is None or self._scene[0] is not sim:
                 scene = build_render_scene(sim.layout, sim.model(home))
                 self._scene = (sim, scene)

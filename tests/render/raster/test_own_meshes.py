@@ -9,7 +9,7 @@ import pytest
 
 from mjhab.render.build_scene import SceneBuilder
 from mjhab.render.raster.rasterizer import Cameras, Rasterizer, look_at
-from mjhab.scenes.replica_cad.looks import Looks
+from mjhab.scenes.replica_cad.looks import MeshFiles
 from mjhab.scenes.shapes.meshes import Mesh
 from mjhab.viewer.drawn.models import home_models
 from tests.render.own_meshes import CUBES, HALF_M, cube
@@ -68,7 +68,7 @@ def test_a_mesh_of_any_origin_and_a_negative_scale(
 def test_a_mirrored_visual_of_furniture(tmp_path: Path) -> None:
     """A URDF gives its meshes a scale, which may be negative."""
     file = write_glb(tmp_path / "a.glb", [(BOX * HALF_M, BOX_FACES)])
-    looks = Looks()
+    looks = MeshFiles()
     looks.add("piece", file, np.diag([-1.0, 1.0, 1.0, 1.0]))
     np.testing.assert_allclose(
         drawn(looks.meshes()["piece"])["depth"], expected(), atol=DEPTH_M
@@ -83,7 +83,7 @@ def test_a_sheet_is_seen_from_both_sides(double_sided: bool, tmp_path: Path) -> 
         file = write_glb(
             tmp_path / "a.glb", [(quad, np.array(faces))], double_sided=double_sided
         )
-        looks = Looks()
+        looks = MeshFiles()
         looks.add(f"quad {faces} {double_sided}", file, np.eye(4))
         (mesh,) = looks.meshes().values()
         assert (drawn(mesh)["depth"] > 0).sum() > 100

@@ -33,7 +33,7 @@ from mjhab.scenes.replica_cad.files import (
     quat_of,
     short_name,
 )
-from mjhab.scenes.replica_cad.looks import Looks
+from mjhab.scenes.replica_cad.looks import MeshFiles
 from mjhab.scenes.replica_cad.receptacles import fit, spaces
 from mjhab.scenes.shapes.footprints import outline
 from mjhab.scenes.shapes.hulls import hull_mesh
@@ -76,7 +76,7 @@ class Furniture:
     props: dict[str, Prop] = field(default_factory=dict)
     articulations: dict[str, Articulation] = field(default_factory=dict)
     meshes: dict[str, Mesh] = field(default_factory=dict)
-    looks: Looks = field(default_factory=Looks)
+    looks: MeshFiles = field(default_factory=MeshFiles)
     missing: list[Path] = field(default_factory=list)
     """Render meshes that do not exist; their collision pieces are drawn instead."""
     upright: dict[str, np.ndarray] = field(default_factory=dict)

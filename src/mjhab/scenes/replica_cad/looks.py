@@ -18,7 +18,7 @@ from mjhab.scenes.shapes.painting import textured_mesh
 
 
 @dataclass(eq=False)
-class Looks:
+class MeshFiles:
     """Collect the files that render meshes are made of; `meshes` reads them all."""
 
     wanted: dict[str, list[tuple[Path, np.ndarray]]] = field(default_factory=dict)

@@ -7,7 +7,7 @@ import warp as wp
 
 
 @wp.struct
-class Looks:
+class SceneArrays:
     """Arrays of ``RenderScene``: of faces (F), instances (I), materials (M) without ``mat_``, lamps (L) of homes (H).
 
     extent (I,): size of each instance's mesh along its axes [m], without the instance's scale. pixels, start, bits: see

@@ -9,7 +9,7 @@ from __future__ import annotations
 import warp as wp
 
 from mjhab.render.raster import occlusion
-from mjhab.render.warp.looks import Looks
+from mjhab.render.warp.looks import SceneArrays
 from mjhab.render.warp.tracing import TracedFrame, TracedWorlds, is_drawn
 
 wp.set_module_options({"enable_backward": False})
@@ -53,7 +53,7 @@ def _slope(inverse: wp.array3d[float], k: int, c: int, at: int, before: int, aft
 
 @wp.kernel
 def block_cells(
-    looks: Looks, worlds: TracedWorlds, frame: TracedFrame, cells: Cells, first: int
+    looks: SceneArrays, worlds: TracedWorlds, frame: TracedFrame, cells: Cells, first: int
 ):
     """Compute ``raw`` and ``depths`` of the K worlds from ``first`` on, at the middle pixel of every cell."""
     k, c, at = wp.tid()

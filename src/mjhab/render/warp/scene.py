@@ -12,7 +12,7 @@ from mjhab.render.raster.arrays import FACE_BITS
 from mjhab.render.raster.occlusion import DISK
 from mjhab.render.raster.shading import tone_curve
 from mjhab.render.render_scene import RenderScene
-from mjhab.render.warp.looks import Looks
+from mjhab.render.warp.looks import SceneArrays
 from mjhab.render.warp.tracing import Movers, Stills
 
 DETAIL = 0.0005
@@ -112,7 +112,7 @@ class DeviceScene:
 
     def _make_looks(self) -> Any:
         scene = self.scene
-        looks = Looks()
+        looks = SceneArrays()
         if len(scene.texels.pixels) >= 2**31:
             raise UsageError(
                 "the pictures of this scene have more than 2^31 pixels; use smaller textures."

@@ -13,7 +13,7 @@ import warp as wp
 
 from mjhab.render.raster import lighting
 from mjhab.render.raster.shading import TONE_RANGE
-from mjhab.render.warp.looks import Looks
+from mjhab.render.warp.looks import SceneArrays
 from mjhab.render.warp.occlusion import Cells, open_share_at
 from mjhab.render.warp.texturing import pattern_color, picture_color
 from mjhab.render.warp.tracing import (
@@ -52,7 +52,7 @@ def _highlight(n: wp.vec3, to_lamp: wp.vec3, to_eye: wp.vec3, gloss: float):
 
 @wp.func
 def _light(
-    looks: Looks,
+    looks: SceneArrays,
     home: int,
     p: wp.vec3,
     n: wp.vec3,
@@ -161,7 +161,7 @@ class Facing:
 
 
 @wp.func
-def _facing(looks: Looks, shown: Shown, eye: wp.vec3, ray: wp.vec3, depth: float):
+def _facing(looks: SceneArrays, shown: Shown, eye: wp.vec3, ray: wp.vec3, depth: float):
     """The point of a face at a depth [m] along a ray."""
     at = Facing()
     at.depth = depth
@@ -187,7 +187,12 @@ def _facing(looks: Looks, shown: Shown, eye: wp.vec3, ray: wp.vec3, depth: float
 
 @wp.func
 def _surface(
-    looks: Looks, home: int, shown: Shown, at: Facing, focal: float, open_share: float
+    looks: SceneArrays,
+    home: int,
+    shown: Shown,
+    at: Facing,
+    focal: float,
+    open_share: float,
 ):
     """Linear rgb of a lit surface point seen by a camera with the focal length ``focal`` [px]."""
     m = looks.instance_material[home, shown.instance]
@@ -208,7 +213,7 @@ def _surface(
 
 
 @wp.func
-def _toned(looks: Looks, light: wp.vec3):
+def _toned(looks: SceneArrays, light: wp.vec3):
     """Tone-map linear rgb to 8-bit sRGB."""
     top = looks.tone.shape[0] - 1
     out = wp.vec3ub()
@@ -221,7 +226,7 @@ def _toned(looks: Looks, light: wp.vec3):
 # One kernel from ray to colour, so that intermediate results stay in registers.
 @wp.kernel
 def shade(
-    looks: Looks,
+    looks: SceneArrays,
     stills: Stills,
     movers: Movers,
     worlds: TracedWorlds,

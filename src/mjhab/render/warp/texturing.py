@@ -10,14 +10,14 @@ import warp as wp
 
 from mjhab.render.patterns import SHADE_TOP
 from mjhab.render.textures import LEVELS
-from mjhab.render.warp.looks import Looks
+from mjhab.render.warp.looks import SceneArrays
 
 SHADE_STEP = wp.constant(SHADE_TOP / 255.0)
 LAST_LEVEL = wp.constant(LEVELS - 1)
 
 
 @wp.func
-def _texel(looks: Looks, at: int):
+def _texel(looks: SceneArrays, at: int):
     """Red, green and blue (0..255) of a texel."""
     packed = looks.pixels[at]
     low = wp.uint32(255)
@@ -29,7 +29,7 @@ def _texel(looks: Looks, at: int):
 
 
 @wp.func
-def _sample(looks: Looks, texture: int, level: int, u: float, v: float):
+def _sample(looks: SceneArrays, texture: int, level: int, u: float, v: float):
     """Red, green and blue (0..255) at (u, v) of a mip level, interpolated bilinearly; the texture repeats."""
     wide = wp.max(looks.bits[texture, 0] - level, 0)
     high = wp.max(looks.bits[texture, 1] - level, 0)
@@ -72,7 +72,13 @@ def _linear(level: wp.vec3):
 
 @wp.func
 def pattern_color(
-    looks: Looks, m: int, i: int, q: wp.vec3, n: wp.vec3, scale: wp.vec3, pixel: float
+    looks: SceneArrays,
+    m: int,
+    i: int,
+    q: wp.vec3,
+    n: wp.vec3,
+    scale: wp.vec3,
+    pixel: float,
 ):
     """Linear rgb of the patterned material ``m`` at the point ``q`` [m] with normal ``n`` (frame of instance ``i``).
 
@@ -106,7 +112,9 @@ def pattern_color(
 
 
 @wp.func
-def picture_color(looks: Looks, m: int, face: int, p: wp.vec4, grow: float, pixel: float):
+def picture_color(
+    looks: SceneArrays, m: int, face: int, p: wp.vec4, grow: float, pixel: float
+):
     """Linear rgb of a face with an image texture at the point ``p`` (x, y, z [m], 1) in the frame of its mesh.
 
     ``pixel`` is the length that a pixel covers on the surface [m], ``grow`` times that its length in the mesh's frame.

@@ -8,7 +8,7 @@ import pytest
 from mjhab.core.boxes import Boxes
 from mjhab.core.rotations import quat_from_axis_angle
 from mjhab.episodes.grasps.candidates import LyingObject, ObjectShape, grasp_candidates
-from mjhab.episodes.grasps.pinch import Options
+from mjhab.episodes.grasps.pinch import PinchOptions
 from mjhab.episodes.grasps.stable import StableGrasps, shape_of
 from mjhab.layout.layout import Layout
 from mjhab.robots.fetch.model import REST_QPOS
@@ -79,7 +79,7 @@ def test_a_hand_turned_to_a_box_straddles_its_end(name: str, slant: float):
     half = np.array(builtin_objects()[name].half)
     shape = ObjectShape("box", (half[0], half[1], half[2]))
     pose = np.append([0.4, -0.2, 0.9], UPRIGHT)
-    options = Options(slants=(slant,))
+    options = PinchOptions(slants=(slant,))
     every = grasp_candidates(LyingObject.of(shape, pose, 0.9 - half[2]), options=options)
     off = np.arccos(np.clip(np.abs(every.rot[:, :, 1]).max(axis=1), 0.0, 1.0))
     found = every.take(np.abs(off - slant) < 1e-6)

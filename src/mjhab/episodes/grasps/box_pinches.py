@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mjhab.episodes.grasps.pinch import ObjectShape, Options, Pinch, fan_of
+from mjhab.episodes.grasps.pinch import ObjectShape, Pinch, PinchOptions, fan_of
 from mjhab.robots.parts import Gripper
 
 MIN_UPRIGHT_COSINE = 0.97
@@ -33,7 +33,7 @@ def box_pinches(
     pos: np.ndarray,
     rot: np.ndarray,
     gripper: Gripper,
-    options: Options,
+    options: PinchOptions,
 ) -> Iterator[Pinch]:
     """Yield the pinches of a box, see `pinches.pinches_of`."""
     for i in range(3):
@@ -56,7 +56,7 @@ def _slanted_pinches(
     pos: np.ndarray,
     rot: np.ndarray,
     gripper: Gripper,
-    options: Options,
+    options: PinchOptions,
 ) -> Iterator[Pinch]:
     """Yield pinches of one end of an upright box by a hand that is turned to its sides by one of ``options.slants``.
 
@@ -100,7 +100,7 @@ def _slanted_pinch(
     slant: float,
     side: float,
     gripper: Gripper,
-    options: Options,
+    options: PinchOptions,
 ) -> Pinch | None:
     """Pinch of the end of a box at ``pos`` (3,) by a hand turned by ``slant`` to the left (``side`` 1) or right (-1);
     None if it does not fit into the hand.

@@ -12,7 +12,7 @@ import numpy as np
 
 from mjhab.core.boxes import Boxes, nearest_box_distance
 from mjhab.core.rotations import frame_from_axes, mat_from_quat, quat_from_mat
-from mjhab.episodes.grasps.pinch import ObjectShape, Options, Pinch
+from mjhab.episodes.grasps.pinch import ObjectShape, Pinch, PinchOptions
 from mjhab.episodes.grasps.pinches import pinches_of
 from mjhab.robots.parts import Gripper
 from mjhab.robots.registry import robot_named
@@ -84,7 +84,7 @@ def grasp_candidates(
     neighbours: Boxes | None = None,
     robot_xy: np.ndarray | None = None,
     gripper: Gripper | None = None,
-    options: Options | None = None,
+    options: PinchOptions | None = None,
 ) -> Grasps:
     """Return the grasp candidates of one object, best first; none if it cannot be grasped in its pose.
 
@@ -99,7 +99,7 @@ def grasp_candidates(
         UsageError: unknown kind of shape.
     """
     gripper = gripper or robot_named().gripper
-    options = options or Options()
+    options = options or PinchOptions()
     pinches = pinches_of(obj.shape, obj.pos, obj.rot, gripper, options)
     parts = [_place(pinch, obj, gripper, options) for pinch in pinches]
     if not any(len(part[0]) for part in parts):
@@ -195,7 +195,7 @@ def _extent(shape: ObjectShape, rot: np.ndarray, direction: np.ndarray) -> np.nd
 
 
 def _place(
-    pinch: Pinch, obj: LyingObject, gripper: Gripper, options: Options
+    pinch: Pinch, obj: LyingObject, gripper: Gripper, options: PinchOptions
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Return the feasible grasps of one pinch: tcp positions (n, 3), rotations (n, 3, 3), widths (n,), openings (n,) on
     the approach, qualities (n,)."""
@@ -294,7 +294,7 @@ def _score(
     quality: np.ndarray,
     clear: np.ndarray,
     robot_xy: np.ndarray | None,
-    options: Options,
+    options: PinchOptions,
 ) -> tuple[np.ndarray, np.ndarray]:
     approach = turn[:, :, 0]
     fall = np.degrees(np.arccos(np.clip(-approach[:, 2], -1.0, 1.0)))

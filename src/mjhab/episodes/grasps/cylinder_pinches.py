@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mjhab.episodes.grasps.pinch import ObjectShape, Options, Pinch, fan_of
+from mjhab.episodes.grasps.pinch import ObjectShape, Pinch, PinchOptions, fan_of
 from mjhab.robots.parts import Gripper
 
 CHORD_PLAY_M = 0.0015
@@ -30,7 +30,7 @@ def cylinder_pinches(
     pos: np.ndarray,
     rot: np.ndarray,
     gripper: Gripper,
-    options: Options,
+    options: PinchOptions,
 ) -> Iterator[Pinch]:
     """Yield the pinches of a cylinder, see `pinches.pinches_of`."""
     radius = shape.half[0]

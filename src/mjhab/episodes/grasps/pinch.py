@@ -73,7 +73,7 @@ class ObjectShape:
 
 
 @dataclass(frozen=True)
-class Options:
+class PinchOptions:
     """Options of the search and scoring of grasp candidates. Lengths [m], angles [rad]."""
 
     floor_gap: float = 0.006

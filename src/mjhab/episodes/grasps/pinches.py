@@ -15,8 +15,8 @@ from mjhab.episodes.grasps.cylinder_pinches import cylinder_pinches
 from mjhab.episodes.grasps.pinch import (
     MAX_APPROACH_RISE,
     ObjectShape,
-    Options,
     Pinch,
+    PinchOptions,
     fan_of,
 )
 from mjhab.robots.parts import Gripper
@@ -35,7 +35,7 @@ def pinches_of(
     pos: np.ndarray,
     rot: np.ndarray,
     gripper: Gripper,
-    options: Options,
+    options: PinchOptions,
 ) -> Iterator[Pinch]:
     """Yield the pinches of a shape at world position ``pos`` (3,) and rotation ``rot`` (3, 3).
 
@@ -59,7 +59,7 @@ def _sphere_pinches(
     pos: np.ndarray,
     rot: np.ndarray,
     gripper: Gripper,
-    options: Options,
+    options: PinchOptions,
 ) -> Iterator[Pinch]:
     width = 2 * max(shape.half)
     if width > gripper.usable:
@@ -79,7 +79,7 @@ def _bowl_pinches(
     pos: np.ndarray,
     rot: np.ndarray,
     gripper: Gripper,
-    options: Options,
+    options: PinchOptions,
 ) -> Iterator[Pinch]:
     """Yield pinches of a bowl's wall, one finger inside and one outside, with several angles at each place."""
     axis = rot[:, 2]
@@ -109,7 +109,7 @@ def _mesh_pinches(
     pos: np.ndarray,
     rot: np.ndarray,
     gripper: Gripper,
-    options: Options,
+    options: PinchOptions,
 ) -> Iterator[Pinch]:
     """Yield the surface grasps of a mesh, without those that approach from below."""
     grasps = shape.grasps

@@ -13,7 +13,7 @@ from mjhab.envs.device.notes import DeviceNotes
 from mjhab.envs.parts.tracking import Tracker
 from mjhab.tasks.labelling.events import event_names
 from mjhab.tasks.plan import PADDING, Subtask, SubtaskKind, TaskPlan
-from mjhab.tasks.progress import Outcome, Progress
+from mjhab.tasks.progress import Progress, StepOutcome
 from mjhab.tasks.signals import Signals
 from mjhab.tasks.subtasks.registry import spec_of
 
@@ -45,8 +45,8 @@ def test_history_tells_what_the_tracker_of_the_cpu_notes() -> None:
             np.where(done, PADDING, kinds), flags
         )
         ended = (rng.random(worlds) < 0.1) & ~done
-        outcome = Outcome(
-            **{f.name: rng.random(worlds) < 0.5 for f in dataclasses.fields(Outcome)}
+        outcome = StepOutcome(
+            **{f.name: rng.random(worlds) < 0.5 for f in dataclasses.fields(StepOutcome)}
             | {"ended": ended}
         )
         expected = tracker.ended(signals, outcome, progress, plans)

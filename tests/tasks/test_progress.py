@@ -10,7 +10,14 @@ import pytest
 
 from mjhab.core.arrays import map_record
 from mjhab.tasks.plan import PlanArrays
-from mjhab.tasks.progress import Outcome, Progress, accumulate, advance, reset_rows, start
+from mjhab.tasks.progress import (
+    Progress,
+    StepOutcome,
+    accumulate,
+    advance,
+    reset_rows,
+    start,
+)
 from mjhab.tasks.progressive import progressive, upper_bound
 from mjhab.tasks.subtasks.registry import limits_of
 from mjhab.tasks.thresholds import SubtaskConfig, TaskConfig
@@ -45,7 +52,7 @@ def step(
     )
 
 
-def true_fields(outcome: Outcome) -> set[str]:
+def true_fields(outcome: StepOutcome) -> set[str]:
     return {name for name, value in vars(outcome).items() if value[0]}
 
 

@@ -55,7 +55,7 @@ from mjhab.sim.protocol import TAINTS, SimState
 from mjhab.tasks import progress as progress_rules
 from mjhab.tasks.household.registry import TASKS
 from mjhab.tasks.measure import measure
-from mjhab.tasks.progress import Outcome, Progress
+from mjhab.tasks.progress import Progress, StepOutcome
 from mjhab.tasks.signals import Signals, WorldState
 from mjhab.tasks.subtasks.registry import properties
 
@@ -255,7 +255,7 @@ class TaskLoop(VectorEnv, ABC):
         """
 
     @abstractmethod
-    def _note(self, signals: Signals, outcome: Outcome, progress: Progress) -> Told:
+    def _note(self, signals: Signals, outcome: StepOutcome, progress: Progress) -> Told:
         """Update the tracker with a step and its ``outcome``; ``progress`` is that before the pointer advances."""
 
     @abstractmethod
@@ -463,7 +463,7 @@ class TaskLoop(VectorEnv, ABC):
         return RewardInputs(self.state, world, signals, self.focus, progress)
 
     def _finish(
-        self, told: Told, reward: Array, outcome: Outcome
+        self, told: Told, reward: Array, outcome: StepOutcome
     ) -> tuple[dict, Array, Array, Array, dict]:
         """Reset finished worlds according to the autoreset mode, begin next subtasks; returns the result of `step`."""
         mode = self.config.autoreset

@@ -32,7 +32,7 @@ from mjhab.episodes.source import EpisodeSource, open_setting
 from mjhab.episodes.starts import Start
 from mjhab.robots.controllers import check_actions
 from mjhab.sim.mujoco.cpu import CpuSimulator
-from mjhab.tasks.progress import Outcome, Progress
+from mjhab.tasks.progress import Progress, StepOutcome
 from mjhab.tasks.signals import Signals, WorldState
 
 INDEX_STRIDE = 1 << 20
@@ -213,7 +213,9 @@ class SequentialTaskEnv(TaskLoop, VectorEnv):
         # A Navigate that waits for its teleport has not succeeded, even if the robot is at the goal by chance.
         return dataclasses.replace(signals, success=signals.success & ~waiting)
 
-    def _note(self, signals: Signals, outcome: Outcome, progress: Progress) -> StepNotes:
+    def _note(
+        self, signals: Signals, outcome: StepOutcome, progress: Progress
+    ) -> StepNotes:
         events = self.tracker.update(signals, progress)
         ended = self.tracker.ended(signals, outcome, progress, self.tables.plans)
         return StepNotes(events, ended)

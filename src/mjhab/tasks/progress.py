@@ -49,7 +49,7 @@ class Progress:
 
 
 @dataclass(frozen=True)
-class Outcome:
+class StepOutcome:
     """Result of a control step. All arrays are (W,) bool, False for worlds that were done before the step."""
 
     advanced: Array
@@ -128,7 +128,7 @@ def accumulate(progress: Progress, robot_force: Array, fingers_force: Array) -> 
 
 def advance(
     progress: Progress, signals: Signals, plan: PlanArrays, config: TaskConfig
-) -> tuple[Progress, Outcome]:
+) -> tuple[Progress, StepOutcome]:
     """Advance the pointer where the active subtask is completed; end episodes that failed or are completed.
 
     A subtask is completed when it succeeds, with its force within the limit, while every finished Place still holds.
@@ -152,7 +152,7 @@ def advance(
     fail = force_exceeded | place_broken | timeout
     done = success | fail
     moved = advanced & ~success
-    outcome = Outcome(
+    outcome = StepOutcome(
         advanced,
         success,
         fail,
@@ -198,7 +198,7 @@ def _begin_next(
 
 def _advance_continuous(
     progress: Progress, signals: Signals, hold_steps: int
-) -> tuple[Progress, Outcome]:
+) -> tuple[Progress, StepOutcome]:
     """The single-subtask rule of ``advance``: the horizon ends the episode, or ``hold_steps`` after its outcome."""
     alive = ~progress.done
     now = alive & signals.success & signals.force_ok
@@ -207,7 +207,7 @@ def _advance_continuous(
     force_exceeded = alive & ~signals.force_ok
     no = alive & ~alive
     fail = force_exceeded | (timeout & ~once)
-    outcome = Outcome(
+    outcome = StepOutcome(
         no, now, fail, timeout & ~now, force_exceeded, no, timeout, timeout, once, now
     )
     steps_left = progress.steps_left

@@ -34,7 +34,7 @@ from mjhab.robots.controllers import make_controller
 from mjhab.sim.mujoco.cpu import CpuSimulator
 from mjhab.sim.warp.device import room_for
 from mjhab.sim.warp.simulator import WarpSimulator
-from mjhab.tasks.progress import Outcome, Progress
+from mjhab.tasks.progress import Progress, StepOutcome
 from mjhab.tasks.signals import Signals
 from mjhab.tasks.subtasks.registry import event_columns, horizons
 
@@ -238,7 +238,7 @@ class DeviceEnv(TaskLoop, VectorEnv):
         return broken
 
     def _note(
-        self, signals: Signals, outcome: Outcome, progress: Progress
+        self, signals: Signals, outcome: StepOutcome, progress: Progress
     ) -> DeviceStepNotes:
         flags = self.tracker.update(signals, progress)
         label = self.tracker.end(signals, outcome, progress)

@@ -16,7 +16,7 @@ from mjhab.tasks.labelling import events as ev
 from mjhab.tasks.labelling import state as lb
 from mjhab.tasks.labelling.labels import label
 from mjhab.tasks.plan import TaskPlan
-from mjhab.tasks.progress import Outcome, Progress
+from mjhab.tasks.progress import Progress, StepOutcome
 from mjhab.tasks.signals import Signals
 from mjhab.tasks.subtasks.registry import PADDING
 
@@ -33,7 +33,7 @@ class _Ended:
     """Data of the last step from which records are made, (W, ...): references to tensors that are never modified."""
 
     signals: Signals
-    outcome: Outcome
+    outcome: StepOutcome
     progress: Progress
     first: torch.Tensor
     must_hold: torch.Tensor
@@ -113,7 +113,9 @@ class DeviceNotes:
         kind = torch.where(live, signals.kind, PADDING)
         return ev.edge_events(kind, before.now, self._labels.now)
 
-    def end(self, signals: Signals, outcome: Outcome, progress: Progress) -> torch.Tensor:
+    def end(
+        self, signals: Signals, outcome: StepOutcome, progress: Progress
+    ) -> torch.Tensor:
         """Store the data of subtasks that ended in this step; ``progress`` is that before the pointer moved.
 
         Returns:

@@ -10,7 +10,7 @@ import numpy as np
 from mjhab.core.arrays import may_hold, object_array
 from mjhab.tasks.labelling.tracker import SubtaskTracker
 from mjhab.tasks.plan import TaskPlan
-from mjhab.tasks.progress import Outcome, Progress
+from mjhab.tasks.progress import Progress, StepOutcome
 from mjhab.tasks.signals import Signals
 from mjhab.tasks.subtasks.registry import name_of, spec_of
 
@@ -69,7 +69,7 @@ class Tracker:
     def ended(
         self,
         signals: Signals,
-        outcome: Outcome,
+        outcome: StepOutcome,
         progress: Progress,
         plans: list[TaskPlan],
     ) -> list[dict[str, Any] | None]:

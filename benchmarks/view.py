@@ -78,7 +78,7 @@ def _measure(worlds: int, spec: ViewSpec) -> dict[str, float]:
     from mjhab.viewer.pages.app import Viewer
     from mjhab.viewer.pages.counting import CountingPage
     from mjhab.viewer.sources.live import LiveSession
-    from mjhab.viewer.sources.pace import Pace
+    from mjhab.viewer.sources.pace import RealTimeClock
 
     begun = time.perf_counter()
     what = EvalSpec.of(
@@ -90,7 +90,7 @@ def _measure(worlds: int, spec: ViewSpec) -> dict[str, float]:
         threads=spec.threads,
         assets=spec.assets,
     )
-    session = LiveSession(what, 0, Pace(), hold_at_end=False)
+    session = LiveSession(what, 0, RealTimeClock(), hold_at_end=False)
     viewer = Viewer(session, port=0)
     try:
         viewer.start()

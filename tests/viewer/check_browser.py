@@ -25,7 +25,7 @@ from mjhab.viewer.export.page import MAX_BYTES, export_page
 from mjhab.viewer.pages.app import Viewer
 from mjhab.viewer.sources.hand import HUMAN
 from mjhab.viewer.sources.live import LiveSession
-from mjhab.viewer.sources.pace import Pace
+from mjhab.viewer.sources.pace import RealTimeClock
 from mjhab.viewer.sources.replay import Replay
 from mjhab.viewer.sources.source import Source
 from tests.reports.gallery import pages
@@ -184,7 +184,7 @@ def check_phone(browser: Browser, out: Path) -> None:
 def check_begin(out: Path) -> None:
     """An episode does not begin before the browser has drawn it; the time line covers no other panel."""
     spec = EvalSpec.of(policy="expert", subtask="pick", worlds=1, episodes=1)
-    session = LiveSession(spec, 0, Pace())
+    session = LiveSession(spec, 0, RealTimeClock())
     viewer, browser = opened(session, hold=True, size=(max(WIDTHS), 860))
     with browser:
         wait_for(lambda: session.steps > 0, PATIENCE_SECONDS)
@@ -253,7 +253,7 @@ def check_hand(out: Path) -> None:
     # A browser that draws on a busy processor is slow to send keys: the episode outlasts it.
     env = {"horizon": HAND_HORIZON}
     spec = EvalSpec.of(policy=HUMAN, subtask="pick", worlds=1, episodes=1, env=env)
-    session = LiveSession(spec, 0, Pace(), shard=shard)
+    session = LiveSession(spec, 0, RealTimeClock(), shard=shard)
     viewer, browser = opened(session)
     with browser:
         wait_for_picture(viewer, browser)
@@ -329,7 +329,7 @@ def measure(worlds: int, out: Path) -> dict[str, float]:
     """Seconds until the first frame, and frames per second, of so many running worlds."""
     spec = EvalSpec.of(policy="random", subtask="pick", worlds=worlds, episodes=worlds)
     begun = time.perf_counter()
-    session = LiveSession(spec, 0, Pace(), hold_at_end=False)
+    session = LiveSession(spec, 0, RealTimeClock(), hold_at_end=False)
     viewer, browser = opened(session)
     with browser:
         wait_for_picture(viewer, browser)

@@ -19,7 +19,7 @@ from mjhab.envs.sequential import SequentialTaskEnv
 from mjhab.evaluation.evaluate import EvalSpec
 from mjhab.viewer.sources.hand import HUMAN
 from mjhab.viewer.sources.live import LiveSession
-from mjhab.viewer.sources.pace import Pace
+from mjhab.viewer.sources.pace import RealTimeClock
 from mjhab.viewer.spec import ViewSpec
 from tests.viewer.test_pages import until
 
@@ -43,7 +43,9 @@ def session(
         threads=1,
         env={"horizon": HORIZON, "reward_mode": "dense", **env},
     )
-    made = LiveSession(spec, 0, Pace(playing=playing, speed=math.inf), shard=shard)
+    made = LiveSession(
+        spec, 0, RealTimeClock(playing=playing, speed=math.inf), shard=shard
+    )
     made.start()
     try:
         yield made
@@ -360,14 +362,16 @@ def test_the_expert_tells_its_plan() -> None:
         until(lambda: made.expert_plan is None)
 
 
-def wait_in_thread(pace: Pace, meanwhile: Callable[[], object]) -> threading.Thread:
+def wait_in_thread(
+    pace: RealTimeClock, meanwhile: Callable[[], object]
+) -> threading.Thread:
     thread = threading.Thread(target=pace.wait, args=(meanwhile,), daemon=True)
     thread.start()
     return thread
 
 
 def test_pace_waits_while_paused() -> None:
-    pace = Pace(playing=False)
+    pace = RealTimeClock(playing=False)
     looked: list[int] = []
     waiting = wait_in_thread(pace, lambda: looked.append(1))
     until(lambda: looked)
@@ -386,4 +390,4 @@ def test_what_is_asked_meanwhile_ends_the_wait() -> None:
         raise KeyError("something else")
 
     with pytest.raises(KeyError):
-        Pace(playing=False).wait(refuse)
+        RealTimeClock(playing=False).wait(refuse)

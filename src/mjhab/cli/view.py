@@ -76,14 +76,14 @@ def _source(spec: ViewSpec) -> Source:
 
         return Replay(spec.places, read_filter(spec.where, spec.preset), spec.episode)
     from mjhab.viewer.sources.live import LiveSession
-    from mjhab.viewer.sources.pace import Pace
+    from mjhab.viewer.sources.pace import RealTimeClock
 
     asked = spec.asked
     for policy in (spec.policy, *spec.policies):
         if policy != HUMAN:
             inspect_policy(full_spec(policy, asked.task, asked.subtask, asked.target))
     # Nobody drives before a page is open, and time would run out: the page begins with a pause.
-    pace = Pace(playing=spec.policy != HUMAN)
+    pace = RealTimeClock(playing=spec.policy != HUMAN)
     return LiveSession(
         spec.as_evaluation(),
         spec.episode,

@@ -27,7 +27,7 @@ from mjhab.sim.mujoco.cpu import CpuSimulator
 from mjhab.viewer.drawn.plan_marks import PlanMarks
 from mjhab.viewer.sources.hand import HUMAN, HandControl
 from mjhab.viewer.sources.live_tracks import begin_tracks, extend_tracks
-from mjhab.viewer.sources.pace import Pace
+from mjhab.viewer.sources.pace import RealTimeClock
 from mjhab.viewer.sources.plan_overlay import ExpertPlanOverlay
 from mjhab.viewer.sources.switch import Switch
 from mjhab.viewer.sources.takes import Cuttable, TakeRecorder
@@ -75,7 +75,7 @@ class LiveSession:
         self,
         spec: EvalSpec,
         first: int,
-        pace: Pace,
+        pace: RealTimeClock,
         *,
         policies: Sequence[str] = (),
         shard: Path | None = None,

@@ -12,7 +12,7 @@ WAKE_SECONDS = 0.2
 """Interval at which a waiting run calls ``meanwhile`` [s]."""
 
 
-class Pace:
+class RealTimeClock:
     """Real-time clock of a run; the page sets it in one thread while the run waits on it in another.
 
     Args:

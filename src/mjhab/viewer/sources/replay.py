@@ -14,7 +14,7 @@ from mjhab.envs.sequential import SequentialTaskEnv
 from mjhab.rollout.store import EPISODES
 from mjhab.sim.mujoco.cpu import CpuSimulator
 from mjhab.viewer.drawn.plan_marks import PlanMarks
-from mjhab.viewer.sources.pace import Pace
+from mjhab.viewer.sources.pace import RealTimeClock
 from mjhab.viewer.sources.plan_overlay import RecordedPlans
 from mjhab.viewer.sources.recorded_envs import RecordedEnvs
 from mjhab.viewer.sources.track import Track, recorded_track
@@ -44,7 +44,7 @@ class Replay:
         self, places: Path | Sequence[Path], where: Filter | None = None, first: int = 0
     ) -> None:
         self.is_live = False
-        self.pace = Pace()
+        self.pace = RealTimeClock()
         self.policies: tuple[str, ...] = ()
         self.hand_drives = False
         self.recording = ""

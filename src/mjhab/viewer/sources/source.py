@@ -6,7 +6,7 @@ from typing import Protocol
 
 from mjhab.sim.mujoco.cpu import CpuSimulator
 from mjhab.viewer.drawn.plan_marks import PlanMarks
-from mjhab.viewer.sources.pace import Pace
+from mjhab.viewer.sources.pace import RealTimeClock
 from mjhab.viewer.sources.track import Track
 
 
@@ -19,7 +19,7 @@ class Source(Protocol):
         ...
 
     @property
-    def pace(self) -> Pace:
+    def pace(self) -> RealTimeClock:
         """Speed of time; of running worlds also whether they are paused."""
         ...
 

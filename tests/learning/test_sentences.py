@@ -37,7 +37,7 @@ from mjhab.tasks.instructions import (
     OBJECT_WORDS,
     subtask_instruction,
 )
-from mjhab.tasks.instructions import Request as Sentence
+from mjhab.tasks.instructions import InstructionRequest as Sentence
 from mjhab.tasks.subtasks.registry import SUBTASKS
 from tests.data.fake_world import FakeEnv
 from tests.data.make import record

@@ -12,7 +12,7 @@ from mjhab.core.errors import UsageError
 from mjhab.tasks.household.registry import TASKS
 from mjhab.tasks.instructions import (
     CARRY_WORDINGS,
-    Request,
+    InstructionRequest,
     Spot,
     instructions,
     seeded_draw,
@@ -34,49 +34,61 @@ CALLED = ("top right drawer of the kitchen counter",)
 @pytest.mark.parametrize(
     ("request_", "sentence"),
     [
-        (Request("pick", CAN, TABLE), "pick up the soup can from the coffee table"),
-        (Request("pick", CAN), "pick up the soup can"),
         (
-            Request("pick", CAN, DRAWER),
+            InstructionRequest("pick", CAN, TABLE),
+            "pick up the soup can from the coffee table",
+        ),
+        (InstructionRequest("pick", CAN), "pick up the soup can"),
+        (
+            InstructionRequest("pick", CAN, DRAWER),
             "pick up the soup can from the top right drawer of the kitchen counter",
         ),
         (
-            Request("pick", CAN, TABLE, before="left"),
+            InstructionRequest("pick", CAN, TABLE, before="left"),
             "pick up the left soup can from the coffee table",
         ),
         (
-            Request("pick", CAN, TABLE, after="nearest to the bowl"),
+            InstructionRequest("pick", CAN, TABLE, after="nearest to the bowl"),
             "pick up the soup can nearest to the bowl from the coffee table",
         ),
         (
             # The can is in the hand: nothing else tells which one is meant.
-            Request("place", CAN, TABLE, FRIDGE, before="left"),
+            InstructionRequest("place", CAN, TABLE, FRIDGE, before="left"),
             "put the soup can on the second highest shelf of the fridge",
         ),
         (
-            Request("place", CAN, TABLE, DRAWER),
+            InstructionRequest("place", CAN, TABLE, DRAWER),
             "put the soup can in the top right drawer of the kitchen counter",
         ),
-        (Request("place", CAN), "put the soup can at its goal"),
-        (Request("navigate", CAN, TABLE), "go to the soup can on the coffee table"),
+        (InstructionRequest("place", CAN), "put the soup can at its goal"),
         (
-            Request("navigate", CAN, DRAWER, before="left"),
+            InstructionRequest("navigate", CAN, TABLE),
+            "go to the soup can on the coffee table",
+        ),
+        (
+            InstructionRequest("navigate", CAN, DRAWER, before="left"),
             "go to the left soup can in the top right drawer of the kitchen counter",
         ),
-        (Request("navigate", "fridge/top_door"), "go to the top door of the fridge"),
         (
-            Request("navigate", GOAL_OF + CAN, TABLE, FRIDGE),
+            InstructionRequest("navigate", "fridge/top_door"),
+            "go to the top door of the fridge",
+        ),
+        (
+            InstructionRequest("navigate", GOAL_OF + CAN, TABLE, FRIDGE),
             "carry the soup can to the second highest shelf of the fridge",
         ),
-        (Request("navigate", GOAL_OF + CAN), "carry the soup can to its goal"),
+        (InstructionRequest("navigate", GOAL_OF + CAN), "carry the soup can to its goal"),
         (
-            Request("open", "kitchen_counter/drawer3", names=CALLED),
+            InstructionRequest("open", "kitchen_counter/drawer3", names=CALLED),
             "open the top right drawer of the kitchen counter",
         ),
-        (Request("close", "fridge/top_door"), "close the top door of the fridge"),
+        (
+            InstructionRequest("close", "fridge/top_door"),
+            "close the top door of the fridge",
+        ),
     ],
 )
-def test_first_wordings(request_: Request, sentence: str) -> None:
+def test_first_wordings(request_: InstructionRequest, sentence: str) -> None:
     assert subtask_instruction(request_) == sentence
 
 
@@ -88,10 +100,10 @@ def test_every_kind_and_task_has_several_wordings() -> None:
 
 def test_a_chain_says_what_goes_where_in_order() -> None:
     requests = [
-        Request("pick", CAN, TABLE),
-        Request("place", CAN, TABLE, FRIDGE, after="nearest to the sofa"),
-        Request("place", "024_bowl_:0000", FRIDGE, Spot("the sofa")),
-        Request("place", "013_apple_:0000", TABLE, TABLE),
+        InstructionRequest("pick", CAN, TABLE),
+        InstructionRequest("place", CAN, TABLE, FRIDGE, after="nearest to the sofa"),
+        InstructionRequest("place", "024_bowl_:0000", FRIDGE, Spot("the sofa")),
+        InstructionRequest("place", "013_apple_:0000", TABLE, TABLE),
     ]
     sentence = task_instruction("tidy_house", requests)
     expected = (
@@ -129,7 +141,7 @@ def wipe() -> Iterator[None]:
 
 
 def test_wordings_of_a_plugin_tell_where_the_object_is(wipe: None) -> None:
-    lies = Request("wipe", CAN, TABLE, TABLE, after="nearest to the sofa")
+    lies = InstructionRequest("wipe", CAN, TABLE, TABLE, after="nearest to the sofa")
     assert (
         subtask_instruction(lies)
         == "wipe the soup can nearest to the sofa on the coffee table"
@@ -173,7 +185,7 @@ def test_ids_become_words_without_numbers_and_with_one_article(
 def test_names_with_an_owner_keep_him() -> None:
     for name in ("my mug", "Ada's mug", "your mug"):
         owner, _, mug = name.partition(" ")
-        request = Request("pick", "mug", TABLE, names=(name,), before="left")
+        request = InstructionRequest("pick", "mug", TABLE, names=(name,), before="left")
         assert (
             subtask_instruction(request)
             == f"pick up {owner} left {mug} from the coffee table"
@@ -187,6 +199,6 @@ def test_the_mark_of_teleports_in_older_records_is_dropped() -> None:
 
 def test_unknown_kinds_and_tasks_are_refused() -> None:
     with pytest.raises(UsageError, match="unknown subtask 'wipe'"):
-        subtask_instruction(Request("wipe", CAN))
+        subtask_instruction(InstructionRequest("wipe", CAN))
     with pytest.raises(UsageError, match="unknown task 'wash'"):
         task_instruction("wash", [])

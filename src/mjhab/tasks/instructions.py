@@ -72,7 +72,7 @@ class Spot:
 
 
 @dataclass(frozen=True)
-class Request:
+class InstructionRequest:
     """Content of a subtask's sentence.
 
     Attributes:
@@ -129,7 +129,10 @@ def seeded_draw(random: np.random.Generator) -> Draw:
 
 
 def instructions(
-    task: str, requests: Sequence[Request], whole: Sequence[Request], draw: Draw
+    task: str,
+    requests: Sequence[InstructionRequest],
+    whole: Sequence[InstructionRequest],
+    draw: Draw,
 ) -> Instructions:
     """Make the sentences of an episode.
 
@@ -154,7 +157,7 @@ def without_teleport_mark(sentence: str) -> str:
     return sentence.removesuffix(BY_TELEPORT)
 
 
-def subtask_instruction(request: Request, draw: Draw = first_wording) -> str:
+def subtask_instruction(request: InstructionRequest, draw: Draw = first_wording) -> str:
     """One subtask as a sentence.
 
     An object that is not in the hand is told by where it lies and by what tells it from others, also where the wording
@@ -187,7 +190,7 @@ def subtask_instruction(request: Request, draw: Draw = first_wording) -> str:
 
 
 def task_instruction(
-    task: str, requests: Sequence[Request], draw: Draw = first_wording
+    task: str, requests: Sequence[InstructionRequest], draw: Draw = first_wording
 ) -> str:
     """A whole task as a sentence: "set the table: put the bowl from the top right drawer of the kitchen counter on the
     dining table, then ...".
@@ -205,7 +208,7 @@ def task_instruction(
     return f"{name}: {', then '.join(moves)}" if moves else name
 
 
-def _move(request: Request, draw: Draw) -> str:
+def _move(request: InstructionRequest, draw: Draw) -> str:
     """One object of a task: where it is and where it belongs."""
     thing = _thing(request, draw)
     if request.stays:
@@ -214,14 +217,14 @@ def _move(request: Request, draw: Draw) -> str:
     return " ".join(f"put {thing} {source} {request.goal.phrase('at its goal')}".split())
 
 
-def _moved_to(request: Request) -> str:
+def _moved_to(request: InstructionRequest) -> str:
     """Goal of an object that is moved without being held."""
     if request.stays:
         return f"to another place {request.goal.phrase()}"
     return f"to {request.goal.words or 'its goal'}"
 
 
-def _thing(request: Request, draw: Draw, plain: bool = False) -> str:
+def _thing(request: InstructionRequest, draw: Draw, plain: bool = False) -> str:
     """The target with what tells it apart, or without if ``plain``."""
     target = request.target.removeprefix(GOAL_OF)
     name = target_name(target, draw, request.names)

@@ -11,8 +11,8 @@ from mjhab.data.store.older.schemas import OBJECT_POSE, OLDER_JOINTS
 from mjhab.data.store.reading import RecordedEpisode
 from mjhab.rollout.records import EpisodeRecord
 from mjhab.tasks.instructions import (
+    InstructionRequest,
     Instructions,
-    Request,
     subtask_instruction,
     task_instruction,
     without_teleport_mark,
@@ -36,7 +36,8 @@ def subtask_words(record: EpisodeRecord) -> list[str]:
     if record.instructions:
         return [without_teleport_mark(sentence) for sentence in record.instructions]
     return [
-        subtask_instruction(Request(entry.kind, entry.target)) for entry in record.plan
+        subtask_instruction(InstructionRequest(entry.kind, entry.target))
+        for entry in record.plan
     ]
 
 
@@ -46,7 +47,7 @@ def task_words(record: EpisodeRecord) -> str:
         return without_teleport_mark(record.instruction)
     if record.subtask:
         return subtask_words(record)[0]
-    requests = [Request(entry.kind, entry.target) for entry in record.plan]
+    requests = [InstructionRequest(entry.kind, entry.target) for entry in record.plan]
     return task_instruction(record.task, requests)
 
 

@@ -19,8 +19,8 @@ from mjhab.layout.receptacles import PlacedReceptacle
 from mjhab.scenes.objects import object_words
 from mjhab.scenes.spec import Vec3
 from mjhab.tasks.instructions import (
+    InstructionRequest,
     Instructions,
-    Request,
     Spot,
     instructions,
     names_of,
@@ -84,7 +84,7 @@ class _Tale:
     plan: TaskPlan
     words: HomeWords
 
-    def request(self, position: int, anytime: bool = False) -> Request:
+    def request(self, position: int, anytime: bool = False) -> InstructionRequest:
         """Content of the sentence of the subtask at a position of the plan.
 
         ``anytime``: it fits at the start of the episode, too, not only when the subtask starts.
@@ -96,10 +96,10 @@ class _Tale:
         if obj not in self.layout.object_names:
             known = obj in self.layout.link_ids
             names = (self.words.link(obj),) if known else ()
-            return Request(subtask.name, target, Spot(), goal, names)
+            return InstructionRequest(subtask.name, target, Spot(), goal, names)
         place = self.places.get(obj)
         found = self._mark(position, obj, anytime) if obj in self.points else Mark()
-        return Request(
+        return InstructionRequest(
             subtask.name,
             target,
             self._spot(place),

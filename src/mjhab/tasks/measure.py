@@ -32,8 +32,8 @@ from mjhab.tasks.signals import (
     SIGNAL_CHECKS,
     WAY_CHECKS,
     Active,
+    MeasuredProgress,
     Signals,
-    Standing,
     WorldState,
 )
 from mjhab.tasks.subtasks.registry import PADDING, SUBTASKS, force_limits, properties
@@ -243,7 +243,7 @@ def _joint(
 def measure(
     state: WorldState,
     plan: PlanArrays,
-    progress: Standing,
+    progress: MeasuredProgress,
     config: TaskConfig,
     active: Active | None = None,
 ) -> Signals:

@@ -35,7 +35,7 @@ WAY_CHECKS = ("near", "oriented")
 """Checks of the base on its way to a goal."""
 
 
-class Standing(Protocol):
+class MeasuredProgress(Protocol):
     """Fields of `progress.Progress` that `measure` reads."""
 
     @property

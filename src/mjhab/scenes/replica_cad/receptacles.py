@@ -34,7 +34,7 @@ _KEY_PREFIX = "receptacle_aabb_"
 
 
 @dataclass(frozen=True, eq=False)
-class Space:
+class ConfigBox:
     """A box of a config in our template frame: centre (3,) and half-extents (3,) [m], owner link or ""."""
 
     name: str
@@ -45,7 +45,7 @@ class Space:
 
 def spaces(
     path: Path, body: dict[str, Any], frames: dict[str, np.ndarray], scale: float = 1.0
-) -> list[Space]:
+) -> list[ConfigBox]:
     """Read the receptacle boxes of a config.
 
     Args:
@@ -76,7 +76,7 @@ def spaces(
         # A few half-extents of the data set are negative.
         half = np.abs(numbers(path, record, "scale", 3, where))
         half = scale * np.abs(np.round(pose[:3, :3])) @ half
-        found.append(Space(_name(key, record), center, half, link))
+        found.append(ConfigBox(_name(key, record), center, half, link))
     return found
 
 
@@ -87,7 +87,7 @@ def _name(key: str, record: dict[str, Any]) -> str:
 
 
 def fit(
-    space: Space,
+    space: ConfigBox,
     pieces: Sequence[np.ndarray],
     link: str = "",
     origin: np.ndarray | None = None,
@@ -138,7 +138,7 @@ def fit(
 
 
 def _levels(
-    space: Space, pieces: Sequence[np.ndarray], xy: np.ndarray
+    space: ConfigBox, pieces: Sequence[np.ndarray], xy: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Heights (N,) [m] at points ``xy`` (N, 2) of the surface and of the ceiling.
 

@@ -16,7 +16,7 @@ import mjhab.envs as envs
 from mjhab.core.errors import UsageError
 from mjhab.core.rotations import mat_from_quat
 from mjhab.envs.observations.cameras import camera_table, intrinsic_matrix
-from mjhab.envs.observations.entry import Views
+from mjhab.envs.observations.entry import CameraInputs
 from mjhab.envs.observations.modes import image_size, mode_outputs
 from mjhab.envs.observations.state import state_table
 from mjhab.envs.parts.observing import Observer
@@ -350,12 +350,12 @@ def test_a_wider_image_shows_more_at_the_sides_and_the_same_in_the_middle(env):
     assert (apart <= 1).mean() > 0.995  # pixels right on an edge may fall to either side
 
 
-def synthetic(depth: np.ndarray, base: tuple[float, float, float]) -> Views:
+def synthetic(depth: np.ndarray, base: tuple[float, float, float]) -> CameraInputs:
     """One world, a camera at (1, 2, 1.5) that looks along +y with z up, 4 columns and 2 rows, focal length 2 px."""
     mat = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
     intrinsic = np.array([[2.0, 0, 2], [0, 2, 1], [0, 0, 1]])
     images = {"depth": depth.astype(np.float32)[None, None]}
-    return Views(
+    return CameraInputs(
         ROBOT,
         images,
         np.array([[[1.0, 2.0, 1.5]]]),

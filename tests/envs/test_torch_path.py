@@ -13,7 +13,7 @@ import mjhab.envs as envs
 from mjhab.core.arrays import map_record, to_numpy
 from mjhab.core.errors import UsageError
 from mjhab.envs.device.fields import GoalFields
-from mjhab.envs.observations.entry import Views
+from mjhab.envs.observations.entry import CameraInputs
 from mjhab.envs.observations.state import state_observation, state_table
 from mjhab.envs.parts.nav_distance import NavDistance
 from mjhab.envs.parts.plan_tables import Rows, look_up
@@ -386,8 +386,10 @@ def test_what_cameras_see_is_the_same(mode: str, dtype: torch.dtype) -> None:
     )
     images["depth"][0, 0, 0, 0] = 40.0  # Farther than an int16 counts in millimetres.
     intrinsic = seer._intrinsic
-    views = Views(env.layout.robot, images, pos, mat, env.state.robot_q[:, :3], intrinsic)
-    moved = Views(
+    views = CameraInputs(
+        env.layout.robot, images, pos, mat, env.state.robot_q[:, :3], intrinsic
+    )
+    moved = CameraInputs(
         env.layout.robot,
         *(
             as_torch(part, dtype)

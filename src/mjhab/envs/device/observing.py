@@ -8,7 +8,7 @@ import torch
 
 from mjhab.core.joints import BASE
 from mjhab.envs.observations.cameras import intrinsic_matrix
-from mjhab.envs.observations.entry import Views
+from mjhab.envs.observations.entry import CameraInputs
 from mjhab.envs.observations.state import state_observation
 from mjhab.envs.parts.observing import ObservedRows
 from mjhab.envs.parts.plan_tables import Focus
@@ -75,7 +75,7 @@ class DeviceObserver(ObservedRows):
             return obs
         images = self.renderer.draw(changed)
         pos, mat = self.renderer.poses()
-        views = Views(
+        views = CameraInputs(
             self.robot, images, pos, mat, state.robot_q[:, BASE], self._intrinsic
         )
         # Copies, because the renderer reuses its memory.

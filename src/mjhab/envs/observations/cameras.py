@@ -9,7 +9,7 @@ import numpy as np
 
 from mjhab.core.arrays import Array, constant, count, device_of, empty, namespace, zeros
 from mjhab.core.joints import BASE_XY, BASE_YAW
-from mjhab.envs.observations.entry import ObsEntry, Views
+from mjhab.envs.observations.entry import CameraInputs, ObsEntry
 from mjhab.envs.observations.modes import (
     CAMERA_OUTPUTS,
     POINTCLOUD,
@@ -158,7 +158,7 @@ def _cloud_rows(robot: Robot, points: int) -> list[ObsEntry]:
     ]
 
 
-def _image(views: Views, index: int, output: str) -> Array:
+def _image(views: CameraInputs, index: int, output: str) -> Array:
     images = views.images[output]
     if output == "rgb":
         return images[:, index]
@@ -186,12 +186,12 @@ def _millimetres(images: Array, index: int) -> Array:
     return xp.astype(mm, xp.int16)
 
 
-def _intrinsic_cv(views: Views, index: int) -> Array:
+def _intrinsic_cv(views: CameraInputs, index: int) -> Array:
     xp = namespace(views.intrinsic)
     return xp.tile(xp.astype(views.intrinsic[index], xp.float32), (len(views.pos), 1, 1))
 
 
-def _extrinsic_cv(views: Views, index: int) -> Array:
+def _extrinsic_cv(views: CameraInputs, index: int) -> Array:
     xp = namespace(views.mat)
     rot = xp.permute_dims(_turned(views.mat[:, index]), (0, 2, 1))
     move = -xp.einsum("wij,wj->wi", rot, views.pos[:, index])
@@ -203,7 +203,7 @@ def _turned(mat: Array) -> Array:
     return mat * constant((1.0, -1.0, -1.0), mat)
 
 
-def _cam2world_gl(views: Views, index: int) -> Array:
+def _cam2world_gl(views: CameraInputs, index: int) -> Array:
     xp = namespace(views.mat)
     out = xp.zeros((len(views.pos), 4, 4), dtype=xp.float32, device=device_of(views.mat))
     out[:, :3, :3] = views.mat[:, index]
@@ -212,7 +212,7 @@ def _cam2world_gl(views: Views, index: int) -> Array:
     return out
 
 
-def _cloud_xyz(views: Views) -> Array:
+def _cloud_xyz(views: CameraInputs) -> Array:
     depth = views.images["depth"]
     xp = namespace(depth)
     f32 = namespace(depth).float32
@@ -253,6 +253,6 @@ def _cloud_xyz(views: Views) -> Array:
     return xp.reshape(points, (len(depth), -1, 3))
 
 
-def _cloud_image(views: Views, output: str) -> Array:
+def _cloud_image(views: CameraInputs, output: str) -> Array:
     image = views.images[output]
     return image.reshape(len(image), -1, 3 if output == "rgb" else 1)

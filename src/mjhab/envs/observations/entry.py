@@ -35,7 +35,7 @@ class ObsContext:
 
 
 @dataclass(frozen=True, eq=False)
-class Views:
+class CameraInputs:
     """Inputs of camera rows, for C cameras in the order asked for and images of height h and width w.
 
     Attributes:
@@ -65,7 +65,7 @@ class ObsEntry:
         shape: shape for one world.
         unit: unit, for people.
         frame: coordinate frame, for people.
-        compute: function from an `ObsContext` (state rows) or `Views` (camera rows) to an array (W, *shape).
+        compute: function from an `ObsContext` (state rows) or `CameraInputs` (camera rows) to an array (W, *shape).
         meaning: description, for people.
         dtype: type of the entries.
         low: least value.

@@ -10,7 +10,7 @@ import numpy as np
 from mjhab.core.arrays import map_record
 from mjhab.core.joints import BASE
 from mjhab.envs.observations.cameras import camera_table, intrinsic_matrix
-from mjhab.envs.observations.entry import Views
+from mjhab.envs.observations.entry import CameraInputs
 from mjhab.envs.observations.modes import (
     CAMERA_OUTPUTS,
     POINTCLOUD,
@@ -202,7 +202,7 @@ class Observer(ObservedRows):
         images = self.renderer.robot_views(
             state, homes, self.size, self.drawn, self.cameras
         )
-        views = Views(
+        views = CameraInputs(
             self.robot, images, pos, mat, state.robot_q[:, BASE], self._intrinsic
         )
         return {entry.key: entry.compute(views) for entry in self.camera_rows}

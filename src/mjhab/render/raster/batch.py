@@ -16,7 +16,7 @@ from mjhab.render.raster.shading import ShadeScratch, shade
 from mjhab.render.raster.sight import place_balls
 
 
-class Views(NamedTuple):
+class ViewBatch(NamedTuple):
     """Cameras and bodies of W worlds, and the images to fill.
 
     Attributes:

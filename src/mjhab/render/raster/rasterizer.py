@@ -16,7 +16,7 @@ from mjhab.core.errors import UsageError, unknown_name
 from mjhab.core.machine import cores
 from mjhab.core.typed.checks import check, check_least, check_shape
 from mjhab.render.raster.arrays import Bodies, Lens, make_scratch
-from mjhab.render.raster.batch import ThreadBuffers, Views, draw_worlds
+from mjhab.render.raster.batch import ThreadBuffers, ViewBatch, draw_worlds
 from mjhab.render.raster.kernels import draw, read_depth, read_segments
 from mjhab.render.raster.lighting import SHADOW_SLOPE
 from mjhab.render.raster.nodes import Openness
@@ -192,7 +192,7 @@ class Rasterizer:
         fovy = np.broadcast_to(np.asarray(cameras.fovy, np.float64), (cam_pos.shape[1],))
         focal = 0.5 * height / np.tan(0.5 * fovy)
         samples = ssaa or (2 if quality == "nice" else 1)
-        views = Views(
+        views = ViewBatch(
             home,
             body_pos,
             body_mat,
@@ -220,7 +220,7 @@ class Rasterizer:
         ):
             pass
 
-    def _draw_fast(self, views: Views, height: int, width: int) -> None:
+    def _draw_fast(self, views: ViewBatch, height: int, width: int) -> None:
         """Render all cameras of all worlds: the calling thread and those of the pool take one world after the other."""
         turn = np.zeros(1, np.int64)
         futures = []
@@ -234,7 +234,7 @@ class Rasterizer:
             future.result()
 
     def _draw_worlds(
-        self, views: Views, turn: np.ndarray, height: int, width: int
+        self, views: ViewBatch, turn: np.ndarray, height: int, width: int
     ) -> None:
         """Render the worlds that this thread takes, see `draw_worlds`."""
         buffers = self._buffers(height, width, FAST_CELL)
@@ -263,7 +263,7 @@ class Rasterizer:
             width >= 1 and height >= 1, "width and height", (width, height), "at least 1"
         )
 
-    def _draw(self, views: Views, w: int, c: int, picture: _Picture) -> None:
+    def _draw(self, views: ViewBatch, w: int, c: int, picture: _Picture) -> None:
         """Render camera ``c`` of world ``w``."""
         height = picture.height
         width = picture.width

@@ -90,7 +90,7 @@ class Lens(NamedTuple):
     level_error: float
 
 
-class Scratch(NamedTuple):
+class DrawingMemory(NamedTuple):
     """Working memory of one thread, made by `make_scratch`. I instances, V and F: most vertices and faces of a mesh.
 
     Attributes:
@@ -128,10 +128,10 @@ class Scratch(NamedTuple):
     polygon: np.ndarray
 
 
-def make_scratch(geometry: Geometry, instances: int) -> Scratch:
+def make_scratch(geometry: Geometry, instances: int) -> DrawingMemory:
     """Allocate the scratch of one thread that draws ``geometry`` with this number of instances."""
     faces = int(geometry.mesh_faces[:, 1].max(initial=1))
-    return Scratch(
+    return DrawingMemory(
         rot=np.empty((instances, 3, 3)),
         pos=np.empty((instances, 3)),
         scale=np.empty((instances, 3)),

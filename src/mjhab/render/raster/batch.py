@@ -8,7 +8,7 @@ import numpy as np
 
 from mjhab.core.kernels.counter import take_next
 from mjhab.render.jit import kernel
-from mjhab.render.raster.arrays import Bodies, Lens, Scratch
+from mjhab.render.raster.arrays import Bodies, DrawingMemory, Lens
 from mjhab.render.raster.kernels import draw, read_depth, read_segments
 from mjhab.render.raster.nodes import Openness
 from mjhab.render.raster.occlusion import ambient_occlusion
@@ -44,7 +44,7 @@ class ThreadBuffers(NamedTuple):
     """Buffers of one thread: inverse (h, w) f32 and ids (h, w) i32 (the z-buffer, see `arrays`); raw, share, depths
     (a, b) f32 of the ambient occlusion."""
 
-    draw: Scratch
+    draw: DrawingMemory
     shade: ShadeScratch
     inverse: np.ndarray
     ids: np.ndarray

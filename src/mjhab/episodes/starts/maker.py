@@ -21,7 +21,7 @@ from mjhab.episodes.spawn_sets import SpawnSet
 from mjhab.episodes.spawns import MAX_TRIES, Held, SpawnGoal, SpawnSampler
 from mjhab.episodes.starts.fronts import link_front
 from mjhab.episodes.starts.home_state import HomeState
-from mjhab.episodes.starts.scene import Scene, Situation, Start, SubtaskStart
+from mjhab.episodes.starts.scene import Situation, Start, StartContext, SubtaskStart
 from mjhab.layout.layout import Layout
 from mjhab.scenes.roles import link_with_role, roles_of
 from mjhab.scenes.spec import Home
@@ -195,7 +195,7 @@ class StartMaker:
             return Start(plan, home.name, qpos, boxes, fallback, tries=tries)
         position = self._pick_position(plan, episode)
         rng = stream(episode.seed, "start", episode.task, episode.index)
-        scene = Scene(plan, position, boxes, self._state, episode, qpos, rng)
+        scene = StartContext(plan, position, boxes, self._state, episode, qpos, rng)
         begin = start_of(scene.subtask.kind)
         held = begin.prepare(scene)
         goal = begin.stand(scene)

@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 
 from mjhab.episodes.spawns import TELEPORT_DISTANCE, TELEPORT_YAW_NOISE, Held, SpawnGoal
-from mjhab.episodes.starts.scene import Scene, Situation, SubtaskStart
+from mjhab.episodes.starts.scene import Situation, StartContext, SubtaskStart
 from mjhab.tasks.household.registry import TASKS
 from mjhab.tasks.subtasks.registry import spec_of
 
@@ -27,7 +27,7 @@ DOORSTEP_YAW = (-np.pi / 2, np.pi / 2)
 class NavigateStart(SubtaskStart):
     """Start of Navigate, see the module."""
 
-    def prepare(self, scene: Scene) -> Held | None:
+    def prepare(self, scene: StartContext) -> Held | None:
         state = scene.state
         subtask = scene.subtask
         link, placed = scene.open_before()
@@ -39,7 +39,7 @@ class NavigateStart(SubtaskStart):
             state.ensure_open(scene.rng, scene.episode.home, subtask.link, scene.qpos)
         return state.hold(scene.rng, subtask.obj, scene.qpos)
 
-    def stand(self, scene: Scene) -> SpawnGoal:
+    def stand(self, scene: StartContext) -> SpawnGoal:
         """Return constraints of the spawn: anywhere, unless the task departs from the last goal.
 
         Then the robot starts at the goal of the subtask before, and the first Navigate near DOORSTEP, or, in a home

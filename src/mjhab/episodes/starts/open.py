@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from mjhab.episodes.spawns import SpawnGoal
-from mjhab.episodes.starts.scene import Scene, SubtaskStart
+from mjhab.episodes.starts.scene import StartContext, SubtaskStart
 
 AJAR = 0.2
 """Opening of a drawer that starts ajar, as a fraction of the opening that counts as open (mshab/envs/open.py)."""
@@ -14,7 +14,7 @@ AJAR = 0.2
 class OpenStart(SubtaskStart):
     """Start of Open, see the module."""
 
-    def prepare(self, scene: Scene) -> None:
+    def prepare(self, scene: StartContext) -> None:
         state = scene.state
         subtask = scene.subtask
         link = state.link(subtask.link).link
@@ -27,7 +27,7 @@ class OpenStart(SubtaskStart):
         if target.start_link == subtask.link:
             state.carry_along(scene.episode, subtask.obj, subtask.link, scene.qpos)
 
-    def stand(self, scene: Scene) -> SpawnGoal:
+    def stand(self, scene: StartContext) -> SpawnGoal:
         """Return a spawn in the front area of the link that faces the object's present or future place behind it."""
         subtask = scene.subtask
         target = next(t for t in scene.episode.targets if t.obj == subtask.obj)

@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 
 from mjhab.episodes.spawns import SpawnGoal
-from mjhab.episodes.starts.scene import Scene, Situation, SubtaskStart
+from mjhab.episodes.starts.scene import Situation, StartContext, SubtaskStart
 from mjhab.tasks.household.registry import TASKS
 
 
 class PickStart(SubtaskStart):
     """Start of Pick, see the module."""
 
-    def prepare(self, scene: Scene) -> None:
+    def prepare(self, scene: StartContext) -> None:
         subtask = scene.subtask
         if subtask.link:
             # In tasks whose plans open links, the opening of the link is drawn.
@@ -21,7 +21,7 @@ class PickStart(SubtaskStart):
             scene.state.ensure_open(scene.rng, home, subtask.link, scene.qpos, anew=anew)
             scene.state.carry_along(scene.episode, subtask.obj, subtask.link, scene.qpos)
 
-    def stand(self, scene: Scene) -> SpawnGoal:
+    def stand(self, scene: StartContext) -> SpawnGoal:
         if not scene.state.published:
             return self.approach(scene)
         start = scene.state.object_address(scene.subtask.obj)

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 from mjhab.episodes.spawns import Held, SpawnGoal
-from mjhab.episodes.starts.scene import Scene, SubtaskStart
+from mjhab.episodes.starts.scene import StartContext, SubtaskStart
 
 
 class PlaceStart(SubtaskStart):
     """Start of Place, see the module."""
 
-    def prepare(self, scene: Scene) -> Held:
+    def prepare(self, scene: StartContext) -> Held:
         subtask = scene.subtask
         if subtask.link:
             scene.state.ensure_open(
@@ -19,7 +19,7 @@ class PlaceStart(SubtaskStart):
             )
         return scene.state.hold(scene.rng, subtask.obj, scene.qpos)
 
-    def stand(self, scene: Scene) -> SpawnGoal:
+    def stand(self, scene: StartContext) -> SpawnGoal:
         if scene.state.published:
             return SpawnGoal(np.array(scene.subtask.goal_pos[:2]))
         return self.approach(scene)

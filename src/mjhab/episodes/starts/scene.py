@@ -95,7 +95,7 @@ class Situation:
 
 
 @dataclass(frozen=True, eq=False)
-class Scene(Situation):
+class StartContext(Situation):
     """A subtask that is a whole episode. ``qpos``: (nq,) state with the robot parked; ``rng``: draws the start."""
 
     episode: Episode
@@ -114,11 +114,11 @@ class SubtaskStart:
     This base class changes nothing in the home, and the robot faces the goal of the subtask; subclasses override that.
     """
 
-    def prepare(self, scene: Scene) -> Held | None:
+    def prepare(self, scene: StartContext) -> Held | None:
         """Change ``scene.qpos`` in place to the state in which the subtask starts; return the held object, if any."""
         return None
 
-    def stand(self, scene: Scene) -> SpawnGoal:
+    def stand(self, scene: StartContext) -> SpawnGoal:
         """Return constraints of the spawn for an episode of this subtask alone."""
         return self.approach(scene)
 

@@ -7,7 +7,7 @@ from mjhab.episodes.starts.maker import (
     subtask_positions,
     valid_targets,
 )
-from mjhab.episodes.starts.scene import Situation, Start, StartContext, SubtaskStart
+from mjhab.episodes.starts.scene import Start, StartContext, SubtaskContext, SubtaskStart
 
 __all__ = [
     "Scene",

@@ -21,7 +21,7 @@ from mjhab.episodes.spawn_sets import SpawnSet
 from mjhab.episodes.spawns import MAX_TRIES, Held, SpawnGoal, SpawnSampler
 from mjhab.episodes.starts.fronts import link_front
 from mjhab.episodes.starts.home_state import HomeState
-from mjhab.episodes.starts.scene import Situation, Start, StartContext, SubtaskStart
+from mjhab.episodes.starts.scene import Start, StartContext, SubtaskContext, SubtaskStart
 from mjhab.layout.layout import Layout
 from mjhab.scenes.roles import link_with_role, roles_of
 from mjhab.scenes.spec import Home
@@ -233,7 +233,7 @@ class StartMaker:
         self, plan: TaskPlan, position: int, boxes: Mapping[str, Box]
     ) -> SpawnGoal:
         """Return constraints of the pose in which a Navigate to the subtask at ``position`` of a plan ends."""
-        situation = Situation(plan, position, boxes, self._state)
+        situation = SubtaskContext(plan, position, boxes, self._state)
         return start_of(situation.subtask.kind).approach(situation)
 
     def foresee(self, episode: Episode, plan: TaskPlan, position: int) -> np.ndarray:
@@ -245,7 +245,7 @@ class StartMaker:
         for subtask in plan.subtasks[:position]:
             if spec_of(subtask.kind).brings_to_goal:
                 self._state.put_at_goal(qpos, subtask.obj, subtask.goal_pos)
-        situation = Situation(plan, position, {}, self._state)
+        situation = SubtaskContext(plan, position, {}, self._state)
         link, placed = situation.open_before()
         if link:
             rng = stream(episode.seed, "foresee", episode.task, episode.index, position)

@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 
 from mjhab.episodes.spawns import TELEPORT_DISTANCE, TELEPORT_YAW_NOISE, Held, SpawnGoal
-from mjhab.episodes.starts.scene import Situation, StartContext, SubtaskStart
+from mjhab.episodes.starts.scene import StartContext, SubtaskContext, SubtaskStart
 from mjhab.tasks.household.registry import TASKS
 from mjhab.tasks.subtasks.registry import spec_of
 
@@ -63,7 +63,7 @@ class NavigateStart(SubtaskStart):
             at = dataclasses.replace(at, near=sampler.roomiest(home))
         return at
 
-    def approach(self, situation: Situation) -> SpawnGoal:
+    def approach(self, situation: SubtaskContext) -> SpawnGoal:
         """Return constraints of the pose in which a Navigate ends that the environment does by teleport."""
         limits = situation.state.task_config
         goal = SpawnGoal(

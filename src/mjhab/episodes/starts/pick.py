@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from mjhab.episodes.spawns import SpawnGoal
-from mjhab.episodes.starts.scene import Situation, StartContext, SubtaskStart
+from mjhab.episodes.starts.scene import StartContext, SubtaskContext, SubtaskStart
 from mjhab.tasks.household.registry import TASKS
 
 
@@ -27,7 +27,7 @@ class PickStart(SubtaskStart):
         start = scene.state.object_address(scene.subtask.obj)
         return SpawnGoal(scene.qpos[start : start + 2])
 
-    def approach(self, situation: Situation) -> SpawnGoal:
+    def approach(self, situation: SubtaskContext) -> SpawnGoal:
         return SpawnGoal(np.array(situation.last_way[:2]), situation.area)
 
 

@@ -41,7 +41,7 @@ class Start:
 
 
 @dataclass(frozen=True, eq=False)
-class Situation:
+class SubtaskContext:
     """A subtask at ``position`` of a plan. ``boxes``: as in `Start`; ``state``: changes states of homes."""
 
     plan: TaskPlan
@@ -95,7 +95,7 @@ class Situation:
 
 
 @dataclass(frozen=True, eq=False)
-class StartContext(Situation):
+class StartContext(SubtaskContext):
     """A subtask that is a whole episode. ``qpos``: (nq,) state with the robot parked; ``rng``: draws the start."""
 
     episode: Episode
@@ -122,6 +122,6 @@ class SubtaskStart:
         """Return constraints of the spawn for an episode of this subtask alone."""
         return self.approach(scene)
 
-    def approach(self, situation: Situation) -> SpawnGoal:
+    def approach(self, situation: SubtaskContext) -> SpawnGoal:
         """Return constraints of the pose in which a Navigate to this subtask ends."""
         return SpawnGoal(np.array(situation.subtask.goal_pos[:2]), situation.area)

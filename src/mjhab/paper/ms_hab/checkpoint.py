@@ -30,7 +30,7 @@ _SAVE_ALONE = (
 
 
 @dataclass(frozen=True)
-class Layout:
+class NetworkKind:
     """One of MS-HAB's networks.
 
     mark: prefix of parameter names that no other network has. build: makes the network from the parameters' shapes.
@@ -43,13 +43,13 @@ class Layout:
     training_only: tuple[str, ...] = ()
 
 
-LAYOUTS: dict[str, Layout] = {
+LAYOUTS: dict[str, NetworkKind] = {
     layout.name: layout
     for layout in (
-        Layout("sac", "actor.encoder.", Sac, sac.TRAINING_ONLY),
-        Layout("ppo", "feature_net.", Ppo, ppo.TRAINING_ONLY),
-        Layout("bc", "extractors.", Bc),
-        Layout("dp", "noise_pred_net.", Dp),
+        NetworkKind("sac", "actor.encoder.", Sac, sac.TRAINING_ONLY),
+        NetworkKind("ppo", "feature_net.", Ppo, ppo.TRAINING_ONLY),
+        NetworkKind("bc", "extractors.", Bc),
+        NetworkKind("dp", "noise_pred_net.", Dp),
     )
 }
 
@@ -150,7 +150,7 @@ def _parameters(path: Path, content: Any) -> dict[str, Tensor]:
     return {str(key): value for key, value in agent.items()}
 
 
-def _recognise(path: Path, shapes: Shapes) -> Layout:
+def _recognise(path: Path, shapes: Shapes) -> NetworkKind:
     """Return the layout whose mark is a prefix of some key.
 
     Raises:

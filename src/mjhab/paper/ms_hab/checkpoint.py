@@ -18,7 +18,7 @@ from mjhab.paper.ms_hab import ppo, sac
 from mjhab.paper.ms_hab.bc import Bc
 from mjhab.paper.ms_hab.dp import Dp
 from mjhab.paper.ms_hab.network import Network, Shapes
-from mjhab.paper.ms_hab.ppo import Ppo
+from mjhab.paper.ms_hab.ppo import PpoNetwork
 from mjhab.paper.ms_hab.sac import Sac
 
 AGENT = "agent"
@@ -47,7 +47,7 @@ LAYOUTS: dict[str, NetworkKind] = {
     layout.name: layout
     for layout in (
         NetworkKind("sac", "actor.encoder.", Sac, sac.TRAINING_ONLY),
-        NetworkKind("ppo", "feature_net.", Ppo, ppo.TRAINING_ONLY),
+        NetworkKind("ppo", "feature_net.", PpoNetwork, ppo.TRAINING_ONLY),
         NetworkKind("bc", "extractors.", Bc),
         NetworkKind("dp", "noise_pred_net.", Dp),
     )

@@ -15,7 +15,7 @@ TRAINING_ONLY = ("critic.",)
 _CNN = CnnSizes(channels=(32, 64, 64), kernels=(8, 4, 3), strides=(4, 2, 1), features=256)
 
 
-class Ppo(Network):
+class PpoNetwork(Network):
     """Takes stacked depth frames as 1 - tanh(mm / 1000), and one state."""
 
     def __init__(self, shapes: Shapes) -> None:

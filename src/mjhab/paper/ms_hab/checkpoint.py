@@ -19,7 +19,7 @@ from mjhab.paper.ms_hab.bc import Bc
 from mjhab.paper.ms_hab.dp import Dp
 from mjhab.paper.ms_hab.network import Network, Shapes
 from mjhab.paper.ms_hab.ppo import PpoNetwork
-from mjhab.paper.ms_hab.sac import Sac
+from mjhab.paper.ms_hab.sac import SacNetwork
 
 AGENT = "agent"
 """Key of a checkpoint under which MS-HAB stores the parameters of the policy (mshab/train_*.py)."""
@@ -46,7 +46,7 @@ class NetworkKind:
 LAYOUTS: dict[str, NetworkKind] = {
     layout.name: layout
     for layout in (
-        NetworkKind("sac", "actor.encoder.", Sac, sac.TRAINING_ONLY),
+        NetworkKind("sac", "actor.encoder.", SacNetwork, sac.TRAINING_ONLY),
         NetworkKind("ppo", "feature_net.", PpoNetwork, ppo.TRAINING_ONLY),
         NetworkKind("bc", "extractors.", Bc),
         NetworkKind("dp", "noise_pred_net.", Dp),

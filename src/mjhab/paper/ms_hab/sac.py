@@ -28,7 +28,7 @@ _PIXELS = "actor.encoder.pixels_projections."
 _STATE = "actor.encoder.state_projection.projection.0.weight"
 
 
-class Sac(Network):
+class SacNetwork(Network):
     """Takes stacked depth frames in millimetres, unscaled, and one state."""
 
     def __init__(self, shapes: Shapes) -> None:

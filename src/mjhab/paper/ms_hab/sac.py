@@ -35,7 +35,7 @@ class SacNetwork(Network):
         super().__init__()
         self.cameras = names_below(shapes, _CNNS, CAMERAS)
         self.frames = size(shapes, f"{_CNNS}{self.cameras[0]}.layers.0.weight", 1, 3)
-        self.actor = _Actor(shapes, self.cameras, self.frames)
+        self.actor = _SacActor(shapes, self.cameras, self.frames)
 
     def plan(self, depth: Mapping[str, Tensor], state: Tensor, noise: Tensor) -> Tensor:
         """The squashed mean of the Gaussian, (B, 1, 13)."""
@@ -43,7 +43,7 @@ class SacNetwork(Network):
         return torch.tanh(mean)[:, None]
 
 
-class _Actor(nn.Module):
+class _SacActor(nn.Module):
     def __init__(self, shapes: Shapes, cameras: tuple[str, ...], frames: int) -> None:
         super().__init__()
         self.encoder = _Encoder(shapes, cameras, frames)

@@ -30,7 +30,7 @@ MAX_FILE_BYTES = 1 << 30
 
 
 @dataclass(frozen=True)
-class Scored:
+class ScoredEpisode:
     """One episode of a score.
 
     row: name of its row. record: its results. start: digest of its start state. actions: see `actions.packed_actions`.
@@ -51,7 +51,7 @@ class Result:
 
     facts: Mapping[str, Any]
     summary: Mapping[str, Any]
-    episodes: tuple[Scored, ...]
+    episodes: tuple[ScoredEpisode, ...]
     digest: str
 
     @property
@@ -74,7 +74,7 @@ def manifest_of(facts: Mapping[str, Any]) -> Manifest:
     return manifest(str(facts["track"]), str(facts["split"]), robot)
 
 
-def summary_of(asked: Manifest, episodes: Sequence[Scored]) -> dict[str, Any]:
+def summary_of(asked: Manifest, episodes: Sequence[ScoredEpisode]) -> dict[str, Any]:
     """Compute the numbers of a result from its episodes.
 
     Returns:
@@ -104,13 +104,13 @@ def summary_of(asked: Manifest, episodes: Sequence[Scored]) -> dict[str, Any]:
     }
 
 
-def _begins_elsewhere(asked: Manifest, episode: Scored) -> bool:
+def _begins_elsewhere(asked: Manifest, episode: ScoredEpisode) -> bool:
     """Whether an episode's start state differs from the one in the manifest."""
     starts = asked.starts.get(episode.row)
     return starts is not None and starts[episode.record.index] != episode.start
 
 
-def _row_summary(row: Row, episodes: Sequence[Scored]) -> dict[str, Any]:
+def _row_summary(row: Row, episodes: Sequence[ScoredEpisode]) -> dict[str, Any]:
     clean = [e.record for e in episodes if not (e.record.taint or e.record.error)]
     won = sum(record.success_once for record in clean)
     done = won
@@ -132,7 +132,7 @@ def _share(part: float, whole: int) -> float:
 
 
 def write_result(
-    path: Path, facts: Mapping[str, Any], episodes: Sequence[Scored]
+    path: Path, facts: Mapping[str, Any], episodes: Sequence[ScoredEpisode]
 ) -> Result:
     """Write a result file and return its content."""
     asked = manifest_of(facts)
@@ -250,7 +250,7 @@ def _result_of(path: Path, content: Mapping[str, Any]) -> Result:
         raise UsageError(f"{path} was edited: its digest does not match its content.")
     try:
         episodes = tuple(
-            Scored(
+            ScoredEpisode(
                 str(entry["row"]),
                 EpisodeRecord.from_dict(entry["record"]),
                 str(entry["start"]),
@@ -331,7 +331,7 @@ def _check_manifest(path: Path, made_for: object, asked: Manifest) -> None:
         )
 
 
-def _check_names(path: Path, asked: Manifest, episodes: Sequence[Scored]) -> None:
+def _check_names(path: Path, asked: Manifest, episodes: Sequence[ScoredEpisode]) -> None:
     """Refuse episodes that are not in the manifest, and duplicates."""
     rows = {row.name: row for row in asked.rows}
     seen: set[tuple[str, int]] = set()

@@ -36,7 +36,7 @@ from mjhab.evaluation.score.manifest import Manifest, Row, manifest
 from mjhab.evaluation.score.result import (
     RESULT_FILE,
     Result,
-    Scored,
+    ScoredEpisode,
     write_result,
     write_summary,
 )
@@ -121,7 +121,7 @@ def score(
     """
     asked = manifest(spec.track, spec.split, spec.robot)
     seconds = 0.0
-    episodes: list[Scored] = []
+    episodes: list[ScoredEpisode] = []
     policies: dict[str, Any] = {}
     for row in asked.rows:
         facts = facts_for(spec.policy, row)
@@ -288,7 +288,11 @@ def check(
 
 
 def _check_row(
-    result: Result, asked: Manifest, row: Row, episodes: Sequence[Scored], found: Checked
+    result: Result,
+    asked: Manifest,
+    row: Row,
+    episodes: Sequence[ScoredEpisode],
+    found: Checked,
 ) -> None:
     options = {
         name: tuple(value) if isinstance(value, list) else value
@@ -326,7 +330,7 @@ def _check_row(
 
 
 def _compare(
-    name: str, scored: Scored, seen: EpisodeRecord, start: str, found: Checked
+    name: str, scored: ScoredEpisode, seen: EpisodeRecord, start: str, found: Checked
 ) -> None:
     found.episodes += 1
     told = dataclasses.replace(scored.record, style={})
@@ -357,11 +361,13 @@ def _wanted(run: Run, evaluation: EvalSpec) -> list[EpisodeRecord]:
     return [record for record in run.records if record.index < evaluation.episodes]
 
 
-def _scored(row: Row, record: EpisodeRecord, kept: Path) -> Scored:
+def _scored(row: Row, record: EpisodeRecord, kept: Path) -> ScoredEpisode:
     path = kept_path(kept, record.index)
     if not path.is_file():
         raise UsageError(
             f"{path} with the actions of an episode is missing; score into another --out."
         )
     start, _, actions = path.read_text(encoding="ascii").partition(" ")
-    return Scored(row.name, dataclasses.replace(record, config_hash=""), start, actions)
+    return ScoredEpisode(
+        row.name, dataclasses.replace(record, config_hash=""), start, actions
+    )

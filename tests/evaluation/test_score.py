@@ -21,7 +21,7 @@ from mjhab.evaluation.score.capabilities import CAPABILITIES, profile
 from mjhab.evaluation.score.leaderboard import leaderboard
 from mjhab.evaluation.score.manifest import DRAWER, Row, manifest
 from mjhab.evaluation.score.result import (
-    Result,
+    ScoreResult,
     digest_of,
     manifest_of,
     read_for_table,
@@ -51,14 +51,16 @@ def small() -> Any:
 
 
 @pytest.fixture(scope="module")
-def result(small: Any, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Result]:
+def result(
+    small: Any, tmp_path_factory: pytest.TempPathFactory
+) -> tuple[Path, ScoreResult]:
     out = tmp_path_factory.mktemp("score")
     spec = ScoreSpec("random", "subtasks", "test", out, worlds=2, threads=1)
     return out / "result.json", score(spec)
 
 
 def test_a_score_is_made_of_the_episodes_of_the_manifest(
-    result: tuple[Path, Result],
+    result: tuple[Path, ScoreResult],
 ) -> None:
     path, scored = result
     assert scored.facts["policy"] == "random" and scored.facts["split"] == "test"
@@ -82,7 +84,7 @@ def test_a_score_is_made_of_the_episodes_of_the_manifest(
 
 
 def test_a_check_plays_the_actions_again(
-    result: tuple[Path, Result], tmp_path: Path
+    result: tuple[Path, ScoreResult], tmp_path: Path
 ) -> None:
     path, scored = result
     found = check(read_result(path))
@@ -101,7 +103,7 @@ def test_a_check_plays_the_actions_again(
 
 
 def test_a_check_sees_what_capabilities_and_starts_are_made_of(
-    result: tuple[Path, Result], tmp_path: Path
+    result: tuple[Path, ScoreResult], tmp_path: Path
 ) -> None:
     _, scored = result
     first, *rest = scored.episodes
@@ -127,7 +129,7 @@ def test_a_check_sees_what_capabilities_and_starts_are_made_of(
     [("policies", {}), ("policy", None), ("versions", 3), ("policies", {"x": 1})],
 )
 def test_facts_that_cannot_be_read_are_refused(
-    result: tuple[Path, Result], tmp_path: Path, name: str, value: Any
+    result: tuple[Path, ScoreResult], tmp_path: Path, name: str, value: Any
 ) -> None:
     _, scored = result
     with pytest.raises(UsageError, match=f"edited: facts.{name}"):
@@ -146,7 +148,7 @@ def _won(record: Any) -> Any:
     "what", ["score", "record", "digest", "row", "manifest", "twice"]
 )
 def test_an_edited_file_is_refused(
-    result: tuple[Path, Result], tmp_path: Path, what: str
+    result: tuple[Path, ScoreResult], tmp_path: Path, what: str
 ) -> None:
     path, _ = result
     content = json.loads(path.read_text())
@@ -173,7 +175,7 @@ def test_an_edited_file_is_refused(
 
 
 def test_numbers_that_are_not_those_of_the_episodes_are_refused(
-    result: tuple[Path, Result], tmp_path: Path
+    result: tuple[Path, ScoreResult], tmp_path: Path
 ) -> None:
     content = json.loads(result[0].read_text())
     content["summary"]["score"] = 0.99
@@ -188,7 +190,9 @@ def test_numbers_that_are_not_those_of_the_episodes_are_refused(
             read_result(edited)
 
 
-def test_a_table_has_policies_rows_and_capabilities(result: tuple[Path, Result]) -> None:
+def test_a_table_has_policies_rows_and_capabilities(
+    result: tuple[Path, ScoreResult],
+) -> None:
     page = leaderboard([result[1]])
     assert "| random | test |" in page and "(incomplete)" not in page
     assert all(f"| {row.name} |" in page for row in ROWS)
@@ -199,7 +203,7 @@ def test_a_table_has_policies_rows_and_capabilities(result: tuple[Path, Result])
 
 
 def test_starts_tell_episodes_from_others(
-    small: Any, result: tuple[Path, Result], monkeypatch: pytest.MonkeyPatch
+    small: Any, result: tuple[Path, ScoreResult], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     from mjhab.evaluation.score.starts import starts_of
 
@@ -320,7 +324,7 @@ def test_the_command_warns_of_a_policy_that_was_never_trained(
 
 
 def test_the_command_checks_and_tabulates(
-    result: tuple[Path, Result], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    result: tuple[Path, ScoreResult], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = str(result[0])
     scored = read_result(result[0])
@@ -359,7 +363,7 @@ def test_the_command_checks_and_tabulates(
 def test_what_would_be_passed_over_is_refused(
     words: list[str],
     message: str,
-    result: tuple[Path, Result],
+    result: tuple[Path, ScoreResult],
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     file = result[0]
@@ -373,7 +377,7 @@ def test_what_would_be_passed_over_is_refused(
 
 
 def test_a_summary_makes_the_same_table_and_cannot_be_checked(
-    result: tuple[Path, Result], tmp_path: Path
+    result: tuple[Path, ScoreResult], tmp_path: Path
 ) -> None:
     summary = result[0].with_name("summary.json")
     assert leaderboard([read_for_table(summary)]) == leaderboard(
@@ -397,7 +401,7 @@ def test_a_summary_makes_the_same_table_and_cannot_be_checked(
     ],
 )
 def test_a_broken_summary_is_refused(
-    result: tuple[Path, Result],
+    result: tuple[Path, ScoreResult],
     tmp_path: Path,
     place: tuple[Any, ...],
     value: Any,

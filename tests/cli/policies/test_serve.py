@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from mjhab.cli.main import main
-from mjhab.evaluation.score.result import Result
+from mjhab.evaluation.score.result import ScoreResult
 from mjhab.serving.address import Address
 from mjhab.serving.client import Connection
 from tests.serving.constant import Constant, serving
@@ -153,6 +153,6 @@ def test_a_score_with_errors_of_the_policy_is_exit_code_1(
     errors: int, code: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     summary = {"score": 0.0, "episodes": 1, "complete": False, "errors": errors}
-    result = Result({"track": "subtasks"}, summary, (), "0")
+    result = ScoreResult({"track": "subtasks"}, summary, (), "0")
     monkeypatch.setattr("mjhab.cli.policies.score.score", lambda *_: result)
     assert main(["score", "--json", "--out", str(tmp_path / "score")]) == code

@@ -17,7 +17,12 @@ from mjhab.core.files.interrupts import sigterm_interrupts
 from mjhab.core.progress import progress_bar
 from mjhab.evaluation.evaluate import EvaluationInterrupted
 from mjhab.evaluation.score.leaderboard import leaderboard
-from mjhab.evaluation.score.result import RESULT_FILE, Result, read_for_table, read_result
+from mjhab.evaluation.score.result import (
+    RESULT_FILE,
+    ScoreResult,
+    read_for_table,
+    read_result,
+)
 from mjhab.evaluation.score.run import CHECKED_EPISODES, ScoreSpec, check, score
 from mjhab.evaluation.score.starts import write_starts
 from mjhab.robots.registry import DEFAULT_ROBOT
@@ -113,7 +118,7 @@ def _default_out(options: ScoreOptions) -> Path:
     return Path("scores") / "_".join(re.sub(r"[^\w.-]+", "-", word) for word in words)
 
 
-def _facts(result: Result) -> dict[str, object]:
+def _facts(result: ScoreResult) -> dict[str, object]:
     summary = result.summary
     return {
         "track": result.facts["track"],
@@ -124,7 +129,7 @@ def _facts(result: Result) -> dict[str, object]:
     }
 
 
-def _tell(result: Result, out: Path) -> None:
+def _tell(result: ScoreResult, out: Path) -> None:
     summary = result.summary
     rows = [
         (

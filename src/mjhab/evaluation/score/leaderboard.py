@@ -8,7 +8,7 @@ from typing import Any
 
 from mjhab.evaluation.score.capabilities import CAPABILITIES
 from mjhab.evaluation.score.manifest import TRACKS
-from mjhab.evaluation.score.result import Result
+from mjhab.evaluation.score.result import ScoreResult
 from mjhab.robots.registry import DEFAULT_ROBOT
 
 _HEAD = """# Leaderboard
@@ -18,7 +18,7 @@ FILE` verifies by replay; do not edit it. [score.md](score.md) defines the numbe
 """
 
 
-def leaderboard(results: Sequence[Result]) -> str:
+def leaderboard(results: Sequence[ScoreResult]) -> str:
     """Render the page in Markdown: per track a table of scores, best first, one by row, and one by capability."""
     parts = [_HEAD]
     for track, rows in TRACKS.items():
@@ -36,7 +36,7 @@ def leaderboard(results: Sequence[Result]) -> str:
     return "\n\n".join(part.strip() for part in parts) + "\n"
 
 
-def _scores(results: Sequence[Result]) -> str:
+def _scores(results: Sequence[ScoreResult]) -> str:
     columns = (
         "policy",
         "split",
@@ -66,7 +66,7 @@ def _scores(results: Sequence[Result]) -> str:
     return _markdown(columns, rows)
 
 
-def _rows(results: Sequence[Result], names: Sequence[str]) -> str:
+def _rows(results: Sequence[ScoreResult], names: Sequence[str]) -> str:
     scores = [{row["name"]: row for row in result.summary["rows"]} for result in results]
     rows = [(name, *(_row_cell(score[name]) for score in scores)) for name in names]
     return _markdown(("row", *(_policy(result) for result in results)), rows)
@@ -80,7 +80,7 @@ def _row_cell(row: Mapping[str, Any]) -> str:
     return f"{_percent(row['score'])}{interval}"
 
 
-def _profile(results: Sequence[Result]) -> str:
+def _profile(results: Sequence[ScoreResult]) -> str:
     rows = []
     for result in results:
         shown = result.summary["capabilities"]
@@ -101,14 +101,14 @@ def _percent(rate: float) -> str:
     return f"{100 * rate:.1f}"
 
 
-def _policy(result: Result) -> str:
+def _policy(result: ScoreResult) -> str:
     """Name of a policy, with the robot if it is not the default one."""
     name = str(result.facts["policy"])
     robot = result.manifest.robot
     return name if robot == DEFAULT_ROBOT else f"{name} ({robot})"
 
 
-def _version(result: Result) -> str:
+def _version(result: ScoreResult) -> str:
     return str(result.facts["versions"].get("mjhab", "?"))
 
 

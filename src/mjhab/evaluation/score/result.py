@@ -43,7 +43,7 @@ class ScoredEpisode:
 
 
 @dataclass(frozen=True)
-class Result:
+class ScoreResult:
     """Content of a result file, or of its summary, which has no episodes.
 
     facts: policy, track, versions and hardware, as JSON data. summary: see `summary_of`. digest: see `digest_of`.
@@ -133,7 +133,7 @@ def _share(part: float, whole: int) -> float:
 
 def write_result(
     path: Path, facts: Mapping[str, Any], episodes: Sequence[ScoredEpisode]
-) -> Result:
+) -> ScoreResult:
     """Write a result file and return its content."""
     asked = manifest_of(facts)
     content = {
@@ -158,7 +158,7 @@ def write_result(
     return read_result(path)
 
 
-def write_summary(path: Path, result: Result) -> None:
+def write_summary(path: Path, result: ScoreResult) -> None:
     """Write what tables show of a result: facts, numbers, and the digest of the result file."""
     content = {
         "format": SUMMARY_FORMAT,
@@ -171,7 +171,7 @@ def write_summary(path: Path, result: Result) -> None:
     write_atomic(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
 
 
-def read_for_table(path: Path) -> Result:
+def read_for_table(path: Path) -> ScoreResult:
     """Read a result file, or its summary, whose numbers cannot be verified; the episodes of the latter are left out.
 
     Raises:
@@ -185,7 +185,7 @@ def read_for_table(path: Path) -> Result:
             f"{path} is not a summary of version {VERSION}; `mjhab score` writes them."
         )
     try:
-        result = Result(
+        result = ScoreResult(
             dict(content["facts"]), dict(content["summary"]), (), str(content["digest"])
         )
         asked = result.manifest
@@ -227,7 +227,7 @@ def digest_of(content: Mapping[str, Any]) -> str:
     return hashlib.sha256(text.encode()).hexdigest()
 
 
-def read_result(path: Path) -> Result:
+def read_result(path: Path) -> ScoreResult:
     """Read a result file.
 
     Raises:
@@ -236,7 +236,7 @@ def read_result(path: Path) -> Result:
     return _result_of(path, _read_json(path))
 
 
-def _result_of(path: Path, content: Mapping[str, Any]) -> Result:
+def _result_of(path: Path, content: Mapping[str, Any]) -> ScoreResult:
     """The checked content of a result file, see `read_result`."""
     if content.get("format") == SUMMARY_FORMAT:
         raise UsageError(
@@ -258,7 +258,7 @@ def _result_of(path: Path, content: Mapping[str, Any]) -> Result:
             )
             for entry in content["episodes"]
         )
-        result = Result(
+        result = ScoreResult(
             dict(content["facts"]),
             dict(content["summary"]),
             episodes,

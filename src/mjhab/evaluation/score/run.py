@@ -35,8 +35,8 @@ from mjhab.evaluation.score.capabilities import capabilities_of
 from mjhab.evaluation.score.manifest import Manifest, Row, manifest
 from mjhab.evaluation.score.result import (
     RESULT_FILE,
-    Result,
     ScoredEpisode,
+    ScoreResult,
     write_result,
     write_summary,
 )
@@ -109,7 +109,7 @@ class Checked:
 
 def score(
     spec: ScoreSpec, sinks: Callable[[EvalSpec], Sequence[Sink]] = lambda _: ()
-) -> Result:
+) -> ScoreResult:
     """Run the missing episodes of a score and write ``out/result.json``, and what tables show of it as summary.json.
 
     Args:
@@ -256,7 +256,7 @@ def hardware() -> dict[str, Any]:
 
 
 def check(
-    result: Result, tell: Callable[[], object] = bool, seed: int | None = None
+    result: ScoreResult, tell: Callable[[], object] = bool, seed: int | None = None
 ) -> Checked:
     """Replay the actions of up to CHECKED_EPISODES random episodes and compare the outcomes with the result file.
 
@@ -288,7 +288,7 @@ def check(
 
 
 def _check_row(
-    result: Result,
+    result: ScoreResult,
     asked: Manifest,
     row: Row,
     episodes: Sequence[ScoredEpisode],

@@ -19,7 +19,7 @@ from mjhab.evaluation.score import run as runs
 from mjhab.evaluation.score.actions import Replayed, packed_actions, unpacked_actions
 from mjhab.evaluation.score.capabilities import CAPABILITIES, profile
 from mjhab.evaluation.score.leaderboard import leaderboard
-from mjhab.evaluation.score.manifest import DRAWER, Row, manifest
+from mjhab.evaluation.score.manifest import DRAWER, ScoreRow, manifest
 from mjhab.evaluation.score.result import (
     ScoreResult,
     digest_of,
@@ -39,7 +39,10 @@ from mjhab.evaluation.score.run import (
 from mjhab.rollout.records import SubtaskRecord
 
 ALL_ROWS = manifests.TRACKS["subtasks"]
-ROWS = (Row("set_table", "close", DRAWER, 2), Row("tidy_house", "navigate", episodes=1))
+ROWS = (
+    ScoreRow("set_table", "close", DRAWER, 2),
+    ScoreRow("tidy_house", "navigate", episodes=1),
+)
 
 
 @pytest.fixture(scope="module")

@@ -19,7 +19,7 @@ import mjhab.envs as envs
 from mjhab.core.errors import UsageError, unknown_name
 from mjhab.envs.observations.modes import STATE_KEY, camera_key
 from mjhab.envs.observations.state import state_dim
-from mjhab.evaluation.score.manifest import Row, manifest
+from mjhab.evaluation.score.manifest import ScoreRow, manifest
 from mjhab.evaluation.served.action_spaces import ActionReader, space_named
 from mjhab.robots.registry import DEFAULT_ROBOT, robot_named
 
@@ -76,7 +76,7 @@ class MjhabBenchmark(StepBenchmark):
         self._size = camera_size
         self._robot = robot_named(robot)
         self._env: Any = None
-        self._row: Row | None = None
+        self._row: ScoreRow | None = None
         self._reader: ActionReader | None = None
         self._info: dict[str, Any] = {}
         self._success = False
@@ -182,7 +182,7 @@ class MjhabBenchmark(StepBenchmark):
         mode = space_named(self._actions).control_mode
         return make_controller(mode, robot=self._robot).table
 
-    def _open(self, row: Row) -> None:
+    def _open(self, row: ScoreRow) -> None:
         self.cleanup()
         self._env = envs.make(
             robot=self._robot.name,

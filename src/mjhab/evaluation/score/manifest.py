@@ -32,7 +32,7 @@ START_DECIMALS = 4
 
 
 @dataclass(frozen=True)
-class Row:
+class ScoreRow:
     """The episodes 0 to ``episodes`` - 1 of one subtask, or of a whole task if ``subtask`` is ""."""
 
     task: str
@@ -49,21 +49,21 @@ class Row:
 
 FRIDGE = "fridge/top_door"
 DRAWER = "kitchen_counter/drawer3"
-TRACKS: dict[str, tuple[Row, ...]] = {
+TRACKS: dict[str, tuple[ScoreRow, ...]] = {
     "subtasks": (
-        Row("tidy_house", "pick"),
-        Row("tidy_house", "place"),
-        Row("tidy_house", "navigate"),
-        Row("prepare_groceries", "pick"),
-        Row("prepare_groceries", "place"),
-        Row("set_table", "pick"),
-        Row("set_table", "place"),
-        Row("set_table", "open", FRIDGE),
-        Row("set_table", "open", DRAWER),
-        Row("set_table", "close", FRIDGE),
-        Row("set_table", "close", DRAWER),
+        ScoreRow("tidy_house", "pick"),
+        ScoreRow("tidy_house", "place"),
+        ScoreRow("tidy_house", "navigate"),
+        ScoreRow("prepare_groceries", "pick"),
+        ScoreRow("prepare_groceries", "place"),
+        ScoreRow("set_table", "pick"),
+        ScoreRow("set_table", "place"),
+        ScoreRow("set_table", "open", FRIDGE),
+        ScoreRow("set_table", "open", DRAWER),
+        ScoreRow("set_table", "close", FRIDGE),
+        ScoreRow("set_table", "close", DRAWER),
     ),
-    "chains": tuple(Row(task, episodes=CHAIN_EPISODES) for task in HAB_TASKS),
+    "chains": tuple(ScoreRow(task, episodes=CHAIN_EPISODES) for task in HAB_TASKS),
 }
 """Rows by track: "subtasks" has the ten rows of the MS-HAB paper's Table 1 and Navigate, "chains" the whole tasks."""
 
@@ -77,7 +77,7 @@ class Manifest:
 
     track: str
     split: str
-    rows: tuple[Row, ...]
+    rows: tuple[ScoreRow, ...]
     seed: int
     starts: Mapping[str, tuple[str, ...]]
     robot: str = DEFAULT_ROBOT

@@ -17,7 +17,7 @@ from mjhab.core.errors import UsageError
 from mjhab.core.files.cache import write_atomic
 from mjhab.core.files.reading import parse_json
 from mjhab.evaluation.score.capabilities import profile
-from mjhab.evaluation.score.manifest import Manifest, Row, manifest
+from mjhab.evaluation.score.manifest import Manifest, ScoreRow, manifest
 from mjhab.reports.metrics import label_counts, mean, wilson
 from mjhab.robots.registry import DEFAULT_ROBOT
 from mjhab.rollout.records import EpisodeRecord
@@ -110,7 +110,7 @@ def _begins_elsewhere(asked: Manifest, episode: ScoredEpisode) -> bool:
     return starts is not None and starts[episode.record.index] != episode.start
 
 
-def _row_summary(row: Row, episodes: Sequence[ScoredEpisode]) -> dict[str, Any]:
+def _row_summary(row: ScoreRow, episodes: Sequence[ScoredEpisode]) -> dict[str, Any]:
     clean = [e.record for e in episodes if not (e.record.taint or e.record.error)]
     won = sum(record.success_once for record in clean)
     done = won
@@ -346,7 +346,7 @@ def _check_names(path: Path, asked: Manifest, episodes: Sequence[ScoredEpisode])
         seen.add(name)
 
 
-def _fits(row: Row, asked: Manifest, record: EpisodeRecord) -> bool:
+def _fits(row: ScoreRow, asked: Manifest, record: EpisodeRecord) -> bool:
     """Whether an episode belongs to a row."""
     wanted = (row.task, row.subtask or None, asked.split, asked.seed)
     got = (record.task, record.subtask, record.split, record.seed)

@@ -32,7 +32,7 @@ from mjhab.evaluation.score.actions import (
     unpacked_actions,
 )
 from mjhab.evaluation.score.capabilities import capabilities_of
-from mjhab.evaluation.score.manifest import Manifest, Row, manifest
+from mjhab.evaluation.score.manifest import Manifest, ScoreRow, manifest
 from mjhab.evaluation.score.result import (
     RESULT_FILE,
     ScoredEpisode,
@@ -154,7 +154,7 @@ def score(
 
 
 def evaluation_of(
-    spec: ScoreSpec, asked: Manifest, row: Row, options: Mapping[str, Any]
+    spec: ScoreSpec, asked: Manifest, row: ScoreRow, options: Mapping[str, Any]
 ) -> EvalSpec:
     """The evaluation of a row with the options of `scored_options`; it resumes an earlier one."""
     out = spec.out / "runs" / row.name
@@ -175,7 +175,7 @@ def evaluation_of(
     )
 
 
-def facts_for(policy: str, row: Row) -> PolicyFacts | None:
+def facts_for(policy: str, row: ScoreRow) -> PolicyFacts | None:
     """Describe the policy for a row; None if the policy is "student" and the package has none for this row.
 
     Raises:
@@ -290,7 +290,7 @@ def check(
 def _check_row(
     result: ScoreResult,
     asked: Manifest,
-    row: Row,
+    row: ScoreRow,
     episodes: Sequence[ScoredEpisode],
     found: Checked,
 ) -> None:
@@ -361,7 +361,7 @@ def _wanted(run: Run, evaluation: EvalSpec) -> list[EpisodeRecord]:
     return [record for record in run.records if record.index < evaluation.episodes]
 
 
-def _scored(row: Row, record: EpisodeRecord, kept: Path) -> ScoredEpisode:
+def _scored(row: ScoreRow, record: EpisodeRecord, kept: Path) -> ScoredEpisode:
     path = kept_path(kept, record.index)
     if not path.is_file():
         raise UsageError(

@@ -8,7 +8,7 @@ import numpy as np
 
 from mjhab.core.files.cache import write_atomic
 from mjhab.evaluation.evaluate import EvalSpec, make_env
-from mjhab.evaluation.score.manifest import STARTS_FILE, Row, manifest, start_digest
+from mjhab.evaluation.score.manifest import STARTS_FILE, ScoreRow, manifest, start_digest
 
 
 def write_starts(track: str, split: str, worlds: int, threads: int) -> int:
@@ -42,7 +42,9 @@ def _write(text: str) -> None:
     )
 
 
-def starts_of(row: Row, split: str, seed: int, worlds: int, threads: int) -> list[str]:
+def starts_of(
+    row: ScoreRow, split: str, seed: int, worlds: int, threads: int
+) -> list[str]:
     """Start digests of a row's episodes, by index."""
     spec = EvalSpec.of(
         policy="zero",

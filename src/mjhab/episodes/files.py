@@ -45,7 +45,7 @@ class Recipe:
 
 
 @dataclass(frozen=True)
-class Row:
+class FinishedEpisode:
     """One finished episode.
 
     Attributes:
@@ -95,7 +95,7 @@ class Factory:
         self.maker = EpisodeMaker(CpuSimulator(layout, 1, 1), recipe.task, recipe.split)
         self._homes = layout.pack.homes_by_name
 
-    def row(self, index: int) -> Row:
+    def row(self, index: int) -> FinishedEpisode:
         """Make one episode.
 
         Raises:
@@ -103,7 +103,7 @@ class Factory:
         """
         episode, rejected = self.maker.make(self.recipe.seed, index)
         hab = to_hab(self.maker.layout, self._homes[episode.home], episode)
-        return Row(
+        return FinishedEpisode(
             index,
             episode.home,
             rejected,
@@ -159,7 +159,9 @@ def make_file(
     return {"episodes": done, "rejected": rejected}
 
 
-def _write_manifest(out: Path, header: dict[str, Any], rows: list[Row]) -> None:
+def _write_manifest(
+    out: Path, header: dict[str, Any], rows: list[FinishedEpisode]
+) -> None:
     listed = [
         {"index": r.index, "home": r.home, "rejected": r.rejected, "hash": r.digest}
         for r in rows
@@ -170,21 +172,23 @@ def _write_manifest(out: Path, header: dict[str, Any], rows: list[Row]) -> None:
     )
 
 
-def _resume(partial: Path, header: dict[str, Any], overwrite: bool) -> list[Row]:
+def _resume(
+    partial: Path, header: dict[str, Any], overwrite: bool
+) -> list[FinishedEpisode]:
     """Return the rows that an interrupted run of this recipe wrote to ``partial``; creates the file if there is none.
 
     Raises:
         UsageError: ``partial`` is of another recipe, and ``overwrite`` is not set.
     """
     lines = partial.read_text(encoding="utf-8").splitlines() if partial.exists() else []
-    rows: list[Row] = []
+    rows: list[FinishedEpisode] = []
     if lines and _parsed(lines[0]) == header:
         for line in lines[1:]:
             found = _parsed(line)
             # The last line may be incomplete: rows before it are used.
             if found is None or found.get("index") != header["first"] + len(rows):
                 break
-            rows.append(Row(**found))
+            rows.append(FinishedEpisode(**found))
     elif lines and not overwrite:
         raise UsageError(
             f"{partial} was left by a run with other options, assets or code; finish that run, delete the file, or "
@@ -205,7 +209,7 @@ def _parsed(line: str) -> dict[str, Any] | None:
         return None
 
 
-def _rows(factory: Factory, indices: range, workers: int) -> Iterator[Row]:
+def _rows(factory: Factory, indices: range, workers: int) -> Iterator[FinishedEpisode]:
     """Yield rows in the order of ``indices``; they do not depend on the number of workers."""
     if workers == 1 or len(indices) <= _CHUNK:
         yield from map(factory.row, indices)
@@ -228,5 +232,5 @@ def _start_worker(recipe: Recipe) -> None:
     _factories.append(Factory(recipe))
 
 
-def _work(index: int) -> Row:
+def _work(index: int) -> FinishedEpisode:
     return _factories[0].row(index)

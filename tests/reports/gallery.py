@@ -12,7 +12,7 @@ import numpy as np
 
 from benchmarks.reward import figure as reward_figure
 from mjhab.bench.experts.report import render_experts
-from mjhab.bench.experts.rows import Result
+from mjhab.bench.experts.rows import RowResult
 from mjhab.data.store.images import ImageFormat
 from mjhab.learning.runs.report import render_training_report
 from mjhab.learning.runs.run import TrainingFolder
@@ -186,7 +186,7 @@ def _labels() -> str:
 
 
 def _experts(rows: int) -> str:
-    empty = Result(**_RESULT)
+    empty = RowResult(**_RESULT)
     measured = [
         dataclasses.replace(
             empty,
@@ -224,7 +224,7 @@ def _experts(rows: int) -> str:
 
 _RESULT: dict[str, Any] = {
     field.name: None if field.default is dataclasses.MISSING else field.default
-    for field in dataclasses.fields(Result)
+    for field in dataclasses.fields(RowResult)
 } | {
     "pack": "builtin",
     "task": "set_table",

@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from mjhab.bench.experts.rows import ALL, CHAIN, PAPER_POLICY, Result
+from mjhab.bench.experts.rows import ALL, CHAIN, PAPER_POLICY, RowResult
 from mjhab.core.arithmetic.sums import ordered_sum
 from mjhab.reports.metrics import wilson
 from mjhab.reports.pages import render_page
@@ -26,7 +26,7 @@ _MOST_FAILURES = 2
 
 
 def render_experts(
-    results: Sequence[Result], groups: Sequence[Result], config: Mapping[str, Any]
+    results: Sequence[RowResult], groups: Sequence[RowResult], config: Mapping[str, Any]
 ) -> str:
     """The whole page, which needs no network.
 
@@ -69,7 +69,9 @@ def render_experts(
     )
 
 
-def _chips(results: Sequence[Result], config: Mapping[str, Any]) -> list[tuple[str, Any]]:
+def _chips(
+    results: Sequence[RowResult], config: Mapping[str, Any]
+) -> list[tuple[str, Any]]:
     packs = ", ".join(dict.fromkeys(r.pack for r in results))
     return [
         ("homes", f"{packs}, {config['split']}"),
@@ -81,7 +83,7 @@ def _chips(results: Sequence[Result], config: Mapping[str, Any]) -> list[tuple[s
 
 
 def _numbers(
-    singles: Sequence[Result], chains: Sequence[Result]
+    singles: Sequence[RowResult], chains: Sequence[RowResult]
 ) -> list[tuple[str, str, str]]:
     """The main numbers: name, value, and what is told more."""
     values = []
@@ -121,7 +123,7 @@ def _share(part: float, count: int) -> str:
 
 
 def _kind(
-    kind: str, members: Sequence[Result], plots: dict[str, Figure]
+    kind: str, members: Sequence[RowResult], plots: dict[str, Figure]
 ) -> dict[str, Any]:
     """What the section of a kind of subtask shows; its charts are added to ``plots``."""
     against_paper = any(result.paper is not None for result in members)
@@ -176,7 +178,7 @@ _CHAIN_COLUMNS = (
 """Columns of single subtasks and of whole tasks, with their classes: "n" for numbers."""
 
 
-def _columns(results: Sequence[Result]) -> list[tuple[str, str]]:
+def _columns(results: Sequence[RowResult]) -> list[tuple[str, str]]:
     """Columns of single subtasks without those that tell nothing apart."""
     alike = {
         name
@@ -192,7 +194,7 @@ def _columns(results: Sequence[Result]) -> list[tuple[str, str]]:
     return [column for column in _COLUMNS if column[0] not in alike]
 
 
-def _failures(r: Result) -> str:
+def _failures(r: RowResult) -> str:
     """The most frequent failures of a row in words."""
     named = list(r.failures.items())[:_MOST_FAILURES]
     words = [
@@ -202,13 +204,13 @@ def _failures(r: Result) -> str:
     return ", ".join(words) + (f" and {more} more" if more > 0 else "")
 
 
-def _short(r: Result) -> str:
+def _short(r: RowResult) -> str:
     """Task and target in a few letters."""
     task = "".join(word[0] for word in r.task.split("_")).upper()
     return f"{task} {r.target.rpartition('/')[0] or r.target or ALL}"
 
 
-def _pack_bars(results: Sequence[Result], pack: str, color: str) -> dict[str, Any]:
+def _pack_bars(results: Sequence[RowResult], pack: str, color: str) -> dict[str, Any]:
     """Bars of the success rates in the homes of one asset pack, with their intervals."""
     mine = [r for r in results if r.pack == pack and r.success_once is not None]
     rates = [r.success_once or 0.0 for r in mine]
@@ -231,7 +233,7 @@ def _pack_bars(results: Sequence[Result], pack: str, color: str) -> dict[str, An
     }
 
 
-def _paper_bars(results: Sequence[Result]) -> dict[str, Any]:
+def _paper_bars(results: Sequence[RowResult]) -> dict[str, Any]:
     """Bars of the success rates that the paper tells."""
     known = {_short(r): r.paper for r in results if r.paper is not None}
     return {
@@ -244,7 +246,7 @@ def _paper_bars(results: Sequence[Result]) -> dict[str, Any]:
     }
 
 
-def _paper_figure(results: Sequence[Result]) -> Figure:
+def _paper_figure(results: Sequence[RowResult]) -> Figure:
     """Bars: ours in every asset pack, then the paper's."""
     names = list(dict.fromkeys(_short(result) for result in results))
     packs = dict.fromkeys(result.pack for result in results)
@@ -270,7 +272,7 @@ def _paper_figure(results: Sequence[Result]) -> Figure:
     }
 
 
-def _chain_figure(chains: Sequence[Result]) -> Figure:
+def _chain_figure(chains: Sequence[RowResult]) -> Figure:
     """Progressive completion of every chain over the places of its plan."""
     tasks = dict.fromkeys(chain.task for chain in chains)
     colors = {task: _COLORS[i % len(_COLORS)] for i, task in enumerate(tasks)}

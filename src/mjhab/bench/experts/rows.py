@@ -121,7 +121,7 @@ class MeasuredEpisode:
 
 
 @dataclass(frozen=True)
-class Result:
+class RowResult:
     """A row of the table; rates in 0..1. ``row`` names what was measured, ``error`` why it could not be.
 
     gentle: success once with less than 1,400 N x control steps up to then. gentle_peak: success once, and never 1,400 N
@@ -252,7 +252,7 @@ def row_folder(out: Path, row: Row) -> Path:
 
 def result_of(
     row: Row, split: str, episodes: Sequence[MeasuredEpisode], error: str = ""
-) -> Result:
+) -> RowResult:
     """The table's row for the episodes measured so far; ``error``: why there are no more."""
     once = sum(episode.success_once for episode in episodes)
     chain = row.subtask == CHAIN
@@ -271,7 +271,7 @@ def result_of(
         for e in episodes
         if not e.success_once
     )
-    return Result(
+    return RowResult(
         row.pack,
         row.task,
         row.subtask,
@@ -303,7 +303,7 @@ def result_of(
 
 def together(
     measured: Sequence[tuple[Row, Sequence[MeasuredEpisode]]], split: str
-) -> list[Result]:
+) -> list[RowResult]:
     """One row for all targets of every (pack, task, subtask), as in the paper's Tables 6 to 9."""
     groups: dict[
         tuple[str, str, str, str], list[tuple[Row, Sequence[MeasuredEpisode]]]
@@ -337,6 +337,6 @@ def _share(values: Iterable[bool]) -> float | None:
     return round(ordered_sum(values) / len(values), 4) if values else None
 
 
-def result_dict(result: Result) -> dict[str, Any]:
+def result_dict(result: RowResult) -> dict[str, Any]:
     """A row as plain data for results.json."""
     return {**asdict(result), "over_paper": result.over_paper}

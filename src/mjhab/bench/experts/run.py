@@ -15,8 +15,8 @@ from mjhab.bench.experts.report import render_experts
 from mjhab.bench.experts.rows import (
     CHAIN,
     MeasuredEpisode,
-    Result,
     Row,
+    RowResult,
     make_rows,
     result_dict,
     result_of,
@@ -56,7 +56,7 @@ def unwatched(measured: Measured) -> Iterator[Callable[[Row, int], None]]:
 class Measurement:
     """What `measure_experts` has found: rows of results, why rows failed, and how many episodes are left."""
 
-    results: list[Result]
+    results: list[RowResult]
     errors: Mapping[Row, str]
     left: int
 
@@ -155,7 +155,7 @@ def read_row(spec: ExpertsSpec, row: Row) -> list[MeasuredEpisode]:
 
 def write_results(
     spec: ExpertsSpec, measured: Measured, errors: Mapping[Row, str]
-) -> list[Result]:
+) -> list[RowResult]:
     """Write every file of results for what is measured so far; returns the rows."""
     results = [
         result_of(row, spec.split, found, errors.get(row, ""))

@@ -11,7 +11,7 @@ from typing import Any
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
-from mjhab.bench.experts.rows import CHAIN, Result, Row
+from mjhab.bench.experts.rows import CHAIN, Row, RowResult
 from mjhab.bench.experts.run import REPORT, Measured, Measurement, measure_experts
 from mjhab.cli.exits import INTERRUPTED, stopped
 from mjhab.cli.options.expert import BenchExpertsOptions
@@ -124,7 +124,7 @@ def _summary(
     }
 
 
-def _print_singles(singles: Sequence[Result], of: str) -> None:
+def _print_singles(singles: Sequence[RowResult], of: str) -> None:
     """Print one table per pack and task; ``of``: which homes and profile."""
     columns = ("subtask", "target", "n", "once", "95 %", "< 1,400 N", "asked", "paper")
     for pack, task in dict.fromkeys((result.pack, result.task) for result in singles):
@@ -132,13 +132,13 @@ def _print_singles(singles: Sequence[Result], of: str) -> None:
         print_table(f"{task}, {pack} homes, {of}: success once [%]", columns, rows)
 
 
-def name_of(result: Result) -> str:
+def name_of(result: RowResult) -> str:
     """Name of a row in the JSON output."""
     words = (result.pack, result.task, result.subtask, result.target, result.navigate)
     return " ".join(filter(None, words))
 
 
-def _cells(r: Result) -> tuple[object, ...]:
+def _cells(r: RowResult) -> tuple[object, ...]:
     rates = (
         _text(r.success_once),
         _interval(r),
@@ -149,7 +149,7 @@ def _cells(r: Result) -> tuple[object, ...]:
     return r.subtask, r.target, r.episodes, *rates
 
 
-def _chain_cells(r: Result) -> tuple[object, ...]:
+def _chain_cells(r: RowResult) -> tuple[object, ...]:
     curve = " ".join(f"{100 * share:.0f}" for share in r.progressive)
     return (
         f"{r.pack} {r.task}, {r.navigate}",
@@ -165,6 +165,6 @@ def _text(rate: float | None) -> str:
     return "-" if rate is None else f"{100 * rate:.1f}"
 
 
-def _interval(r: Result) -> str:
+def _interval(r: RowResult) -> str:
     low, high = r.interval
     return f"{100 * low:.0f} to {100 * high:.0f}" if r.episodes else "-"

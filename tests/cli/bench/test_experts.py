@@ -20,8 +20,8 @@ import pytest
 from mjhab.bench.experts import run as bench_experts
 from mjhab.bench.experts.rows import (
     ALL,
+    ExpertRow,
     MeasuredEpisode,
-    Row,
     make_rows,
     result_of,
     together,
@@ -45,7 +45,7 @@ COMMAND = (
     "--workers",
     "1",
 )
-ROW = Row("builtin", "builtin", "tidy_house", "pick", "003_cracker_box", "", 4)
+ROW = ExpertRow("builtin", "builtin", "tidy_house", "pick", "003_cracker_box", "", 4)
 EPISODE = MeasuredEpisode(
     0,
     "h",
@@ -188,7 +188,7 @@ def test_a_row_that_fails_does_not_stop_the_others(
 ) -> None:
     measure = bench_experts.measure_row
 
-    def broken(options: BenchExpertsOptions, row: Row, *more: Any) -> Any:
+    def broken(options: BenchExpertsOptions, row: ExpertRow, *more: Any) -> Any:
         if row.target == "kitchen_counter/drawer3":
             raise MjhabError("no luck")
         return measure(options, row, *more)

@@ -38,7 +38,7 @@ ASKED_CRACKER_BOX = 0.85
 
 
 @dataclass(frozen=True)
-class Row:
+class ExpertRow:
     """What one row measures. ``pack``: short name of the assets; ``subtask``: a kind or CHAIN; ``target``: object type
     or link, "" for chains and Navigate; ``navigate``: of chains, else ""; ``episodes``: how many."""
 
@@ -171,14 +171,14 @@ class RowResult:
         return round(100 * (self.success_once - self.paper), 2)
 
 
-def make_rows(spec: ExpertsSpec) -> list[Row]:
+def make_rows(spec: ExpertsSpec) -> list[ExpertRow]:
     """The rows that are asked for.
 
     Raises:
         UsageError: a name or an asset folder that cannot work, or nothing is left to measure.
     """
     _check(spec)
-    rows: list[Row] = []
+    rows: list[ExpertRow] = []
     targets: set[str] = set()
     for pack, assets in _packs(spec).items():
         for task in [task for task in TASKS if task in (spec.task or TASKS)]:
@@ -203,16 +203,20 @@ def make_rows(spec: ExpertsSpec) -> list[Row]:
 
 def _rows_of(
     spec: ExpertsSpec, pack: str, assets: str, task: str, subtask: str
-) -> list[Row]:
+) -> list[ExpertRow]:
     if subtask == CHAIN:
         modes = dict.fromkeys(spec.navigate)
-        return [Row(pack, assets, task, subtask, "", mode, spec.chains) for mode in modes]
+        return [
+            ExpertRow(pack, assets, task, subtask, "", mode, spec.chains)
+            for mode in modes
+        ]
     targets = [""]
     if not SUBTASKS[subtask].navigates:
         layout = Layout(open_pack(assets), roster(task))
         targets = valid_targets(EnvConfig(task=task, subtask=subtask), layout)
     return [
-        Row(pack, assets, task, subtask, target, "", spec.episodes) for target in targets
+        ExpertRow(pack, assets, task, subtask, target, "", spec.episodes)
+        for target in targets
     ]
 
 
@@ -245,13 +249,13 @@ def _packs(spec: ExpertsSpec) -> dict[str, str]:
     return packs
 
 
-def row_folder(out: Path, row: Row) -> Path:
+def row_folder(out: Path, row: ExpertRow) -> Path:
     """Where the episodes of a row are recorded."""
     return out / "rows" / row.name
 
 
 def result_of(
-    row: Row, split: str, episodes: Sequence[MeasuredEpisode], error: str = ""
+    row: ExpertRow, split: str, episodes: Sequence[MeasuredEpisode], error: str = ""
 ) -> RowResult:
     """The table's row for the episodes measured so far; ``error``: why there are no more."""
     once = sum(episode.success_once for episode in episodes)
@@ -302,11 +306,11 @@ def result_of(
 
 
 def together(
-    measured: Sequence[tuple[Row, Sequence[MeasuredEpisode]]], split: str
+    measured: Sequence[tuple[ExpertRow, Sequence[MeasuredEpisode]]], split: str
 ) -> list[RowResult]:
     """One row for all targets of every (pack, task, subtask), as in the paper's Tables 6 to 9."""
     groups: dict[
-        tuple[str, str, str, str], list[tuple[Row, Sequence[MeasuredEpisode]]]
+        tuple[str, str, str, str], list[tuple[ExpertRow, Sequence[MeasuredEpisode]]]
     ] = {}
     for row, episodes in measured:
         if row.subtask != CHAIN:
@@ -318,7 +322,7 @@ def together(
         every = [episode for _, episodes in members for episode in episodes]
         found.append(
             result_of(
-                Row(*names, ALL, "", sum(row.episodes for row, _ in members)),
+                ExpertRow(*names, ALL, "", sum(row.episodes for row, _ in members)),
                 split,
                 every,
             )

@@ -14,8 +14,8 @@ from typing import Any
 from mjhab.bench.experts.report import render_experts
 from mjhab.bench.experts.rows import (
     CHAIN,
+    ExpertRow,
     MeasuredEpisode,
-    Row,
     RowResult,
     make_rows,
     result_dict,
@@ -37,7 +37,7 @@ from mjhab.evaluation.generate import GenerateSpec, run_generation
 RESULTS = "results.json"
 TABLE = "table.csv"
 EPISODES = "episodes.jsonl"
-Measured = dict[Row, list[MeasuredEpisode]]
+Measured = dict[ExpertRow, list[MeasuredEpisode]]
 
 
 class ExpertsFolder(RunFolder):
@@ -47,7 +47,7 @@ class ExpertsFolder(RunFolder):
 
 
 @contextmanager
-def unwatched(measured: Measured) -> Iterator[Callable[[Row, int], None]]:
+def unwatched(measured: Measured) -> Iterator[Callable[[ExpertRow, int], None]]:
     """Tells nobody how far a measurement is."""
     yield lambda row, count: None
 
@@ -57,7 +57,7 @@ class Measurement:
     """What `measure_experts` has found: rows of results, why rows failed, and how many episodes are left."""
 
     results: list[RowResult]
-    errors: Mapping[Row, str]
+    errors: Mapping[ExpertRow, str]
     left: int
 
 
@@ -65,7 +65,7 @@ def measure_experts(
     spec: ExpertsSpec,
     stopped: Callable[[], bool] = bool,
     watch: Callable[
-        [Measured], AbstractContextManager[Callable[[Row, int], None]]
+        [Measured], AbstractContextManager[Callable[[ExpertRow, int], None]]
     ] = unwatched,
 ) -> Measurement:
     """Measure all rows of ``spec`` that are not measured yet, and write the results after each.
@@ -90,7 +90,7 @@ def _measure(
     watch: Callable[[Measured], AbstractContextManager[Callable[[Row, int], None]]],
 ) -> Measurement:
     measured: Measured = {row: read_row(spec, row) for row in rows}
-    errors: dict[Row, str] = {}
+    errors: dict[ExpertRow, str] = {}
     with watch(measured) as tell:
         for row in rows:
             if stopped():
@@ -113,7 +113,7 @@ def _measure(
 
 def measure_row(
     spec: ExpertsSpec,
-    row: Row,
+    row: ExpertRow,
     tell: Callable[[Standing], object],
     stopped: Callable[[], bool],
 ) -> Standing:
@@ -142,7 +142,7 @@ def measure_row(
     return run_generation(wanted, tell, stopped).standing
 
 
-def read_row(spec: ExpertsSpec, row: Row) -> list[MeasuredEpisode]:
+def read_row(spec: ExpertsSpec, row: ExpertRow) -> list[MeasuredEpisode]:
     """Episodes of a row that are recorded, of those that are wanted, in order of their indices."""
     folder = row_folder(spec.out, row)
     if not any(folder.rglob("*.h5")):
@@ -154,7 +154,7 @@ def read_row(spec: ExpertsSpec, row: Row) -> list[MeasuredEpisode]:
 
 
 def write_results(
-    spec: ExpertsSpec, measured: Measured, errors: Mapping[Row, str]
+    spec: ExpertsSpec, measured: Measured, errors: Mapping[ExpertRow, str]
 ) -> list[RowResult]:
     """Write every file of results for what is measured so far; returns the rows."""
     results = [

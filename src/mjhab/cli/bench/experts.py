@@ -11,7 +11,7 @@ from typing import Any
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
-from mjhab.bench.experts.rows import CHAIN, Row, RowResult
+from mjhab.bench.experts.rows import CHAIN, ExpertRow, RowResult
 from mjhab.bench.experts.run import REPORT, Measured, Measurement, measure_experts
 from mjhab.cli.exits import INTERRUPTED, stopped
 from mjhab.cli.options.expert import BenchExpertsOptions
@@ -37,7 +37,7 @@ def bench_experts(options: BenchExpertsOptions) -> int:
 
 
 @contextmanager
-def _progress(measured: Measured) -> Iterator[Callable[[Row, int], None]]:
+def _progress(measured: Measured) -> Iterator[Callable[[ExpertRow, int], None]]:
     """Show a progress bar over all rows on stderr; yields a function that sets a row's number of finished episodes."""
     columns = (
         TextColumn("[bold]{task.description}"),
@@ -57,7 +57,7 @@ def _progress(measured: Measured) -> Iterator[Callable[[Row, int], None]]:
             what="",
         )
 
-        def tell(row: Row, count: int) -> None:
+        def tell(row: ExpertRow, count: int) -> None:
             done[row] = count
             hours = (time.perf_counter() - begun) / 3600
             gained = _weight(done) - first
@@ -72,7 +72,7 @@ def _progress(measured: Measured) -> Iterator[Callable[[Row, int], None]]:
         yield tell
 
 
-def _weight(counts: Mapping[Row, int]) -> float:
+def _weight(counts: Mapping[ExpertRow, int]) -> float:
     """Work of the given numbers of episodes per row, in units of single subtasks."""
     return ordered_sum(
         count * (CHAIN_WEIGHT if row.subtask == CHAIN else 1.0)

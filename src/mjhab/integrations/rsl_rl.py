@@ -39,7 +39,7 @@ def to_rsl_rl(env: VectorEnv) -> Any:
     _require_own_resets(env)
     numpy = not env.metadata.get("tensors", False)
 
-    class Worlds(VecEnv):
+    class RslRlWorlds(VecEnv):
         """The worlds of one mjhab environment."""
 
         def __init__(self) -> None:
@@ -78,7 +78,7 @@ def to_rsl_rl(env: VectorEnv) -> Any:
             groups = observation_tensors(obs)
             return TensorDict(groups, batch_size=[self.num_envs], device=self.device)
 
-    return Worlds()
+    return RslRlWorlds()
 
 
 def _require_own_resets(env: VectorEnv) -> None:

@@ -66,7 +66,7 @@ def to_sb3(
         if key not in known.spaces:
             raise unknown_name("observation", key, tuple(known.spaces))
     seen = [_Seen(key, known[key], smallest_side) for key in keys]
-    worlds = type("Worlds", (_Worlds, VecEnv), {})
+    worlds = type("Worlds", (_Sb3Worlds, VecEnv), {})
     return VecMonitor(worlds(env, seen))
 
 
@@ -130,7 +130,7 @@ def _frames_as_channels(frames: np.ndarray) -> np.ndarray:
     return last.reshape(*last.shape[:-2], -1)
 
 
-class _Worlds:
+class _Sb3Worlds:
     """The methods of a VecEnv over the worlds of one mjhab environment.
 
     The class of stable-baselines3 is only there once it is imported: `to_sb3` adds it as the second base.

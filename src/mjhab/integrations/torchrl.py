@@ -41,11 +41,11 @@ def to_torchrl(env: VectorEnv) -> Any:
         raise UsageError(
             "torchrl resets worlds itself; make the environment with autoreset='disabled'."
         )
-    worlds = type("Worlds", (_Worlds, EnvBase), {})
+    worlds = type("Worlds", (_TorchrlWorlds, EnvBase), {})
     return worlds(env)
 
 
-class _Worlds:
+class _TorchrlWorlds:
     """The methods of an EnvBase over the worlds of one mjhab environment.
 
     The class of torchrl is only there once it is imported: `to_torchrl` adds it as the second base.

@@ -35,7 +35,7 @@ CLOSE_TIMEOUT_S = 1.0
 """Longest wait for the farewell of a client."""
 
 
-class Session(Protocol):
+class PolicySession(Protocol):
     """A policy as one connection sees it."""
 
     def reset(self) -> None:
@@ -62,7 +62,7 @@ class Responder(Protocol):
         """What clients of mjhab are told of the policy."""
         ...
 
-    def session(self) -> Session:
+    def session(self) -> PolicySession:
         """A new connection is there."""
         ...
 
@@ -174,7 +174,7 @@ class PolicyServer:
             session.close()
             self._slots.release()
 
-    def _answer(self, session: Session, message: str | bytes) -> str | bytes | None:
+    def _answer(self, session: PolicySession, message: str | bytes) -> str | bytes | None:
         if isinstance(message, str):
             raise ProtocolError(
                 f"messages are msgpack in binary frames, not the text {message[:40]!r}"

@@ -27,7 +27,7 @@ from mjhab.viewer.sources.hand import HUMAN
 from mjhab.viewer.sources.live import LiveSession
 from mjhab.viewer.sources.pace import RealTimeClock
 from mjhab.viewer.sources.replay import Replay
-from mjhab.viewer.sources.source import Source
+from mjhab.viewer.sources.source import ViewSource
 from tests.reports.gallery import pages
 from tests.viewer.browser import Browser, find_browser, wait_for
 
@@ -196,7 +196,7 @@ def check_begin(out: Path) -> None:
 
 
 def opened(
-    source: Source, *, hold: bool = False, size: tuple[int, int] = (960, 640)
+    source: ViewSource, *, hold: bool = False, size: tuple[int, int] = (960, 640)
 ) -> tuple[Viewer, Browser]:
     viewer = Viewer(source, port=0, hold=hold)
     viewer.start()

@@ -14,7 +14,7 @@ from mjhab.viewer.sources.hand import HUMAN
 from mjhab.viewer.spec import ViewSpec
 
 if TYPE_CHECKING:
-    from mjhab.viewer.sources.source import Source
+    from mjhab.viewer.sources.source import ViewSource
 
 
 def run_view(spec: ViewSpec, json: bool) -> int:
@@ -70,7 +70,7 @@ def _serve(spec: ViewSpec, json: bool) -> int:
     return 0
 
 
-def _source(spec: ViewSpec) -> Source:
+def _source(spec: ViewSpec) -> ViewSource:
     if spec.places:
         from mjhab.viewer.sources.replay import Replay
 

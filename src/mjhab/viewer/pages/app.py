@@ -29,7 +29,7 @@ from mjhab.viewer.pages.gateway import Gateway
 from mjhab.viewer.pages.panels import Panels
 from mjhab.viewer.pages.playhead import Playhead
 from mjhab.viewer.sources.hand import GRIPPER_KEY, KEYS
-from mjhab.viewer.sources.source import Source
+from mjhab.viewer.sources.source import ViewSource
 from mjhab.viewer.sources.track import Track
 
 FRAME_SECONDS = 1.0 / 40.0
@@ -64,7 +64,7 @@ class Viewer:
 
     def __init__(
         self,
-        source: Source,
+        source: ViewSource,
         host: str = "localhost",
         port: int = 8080,
         *,

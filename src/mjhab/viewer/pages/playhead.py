@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable
 
 from mjhab.core.timing import STEP_SECONDS
-from mjhab.viewer.sources.source import Source
+from mjhab.viewer.sources.source import ViewSource
 from mjhab.viewer.sources.track import Track
 
 MAX_LAG_STEPS = 2.0
@@ -21,7 +21,7 @@ class Playhead:
         following: whether it follows the newest state of a running world.
     """
 
-    def __init__(self, source: Source) -> None:
+    def __init__(self, source: ViewSource) -> None:
         self.now = 0.0
         self.following = source.is_live
         self._source = source

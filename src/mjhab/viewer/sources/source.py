@@ -10,7 +10,7 @@ from mjhab.viewer.sources.pace import RealTimeClock
 from mjhab.viewer.sources.track import Track
 
 
-class Source(Protocol):
+class ViewSource(Protocol):
     """Source of episodes to show. Only running worlds can be teleoperated or given another policy."""
 
     @property

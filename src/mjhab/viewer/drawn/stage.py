@@ -33,7 +33,7 @@ CONTACT_RADIUS_M = 0.012
 _HIDDEN = (0.0, 0.0, -100.0)
 
 
-class Stage:
+class DrawnStage:
     """Own the scene nodes of a viser server, which shows one world at a time.
 
     Args:

@@ -24,7 +24,7 @@ from mjhab.viewer.drawn.cameras import CameraThread
 from mjhab.viewer.drawn.glb import HomeFiles, home_digest, home_files
 from mjhab.viewer.drawn.models import DrawnHome, home_models
 from mjhab.viewer.drawn.posing import Pose, Poser, base_of, between
-from mjhab.viewer.drawn.stage import MIN_MOVE, Stage
+from mjhab.viewer.drawn.stage import MIN_MOVE, DrawnStage
 from mjhab.viewer.pages.gateway import Gateway
 from mjhab.viewer.pages.panels import Panels
 from mjhab.viewer.pages.playhead import Playhead
@@ -92,7 +92,7 @@ class Viewer:
         )
         self.playhead = Playhead(source)
         self._start = _HeldStart(self.playhead, hold)
-        self.stage = Stage(self._server)
+        self.stage = DrawnStage(self._server)
         self.panels = Panels(
             self._server,
             source.choices,

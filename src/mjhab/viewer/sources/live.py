@@ -367,7 +367,7 @@ class LiveSession:
         about = {"name": facts.name, **facts.identity}
         return [
             TakeRecorder(self._writer, self.env, about, self._writer.has),
-            _Counter(self),
+            _StepCounter(self),
         ]
 
     def _open_shard(self) -> None:
@@ -407,7 +407,7 @@ class LiveSession:
             raise _Interrupt
 
 
-class _Counter(Sink[RolloutEnv]):
+class _StepCounter(Sink[RolloutEnv]):
     """Sink after the recorder that tells the session that an episode was written."""
 
     def __init__(self, session: LiveSession) -> None:

@@ -29,7 +29,7 @@ from mjhab.viewer.sources.hand import HUMAN, HandControl
 from mjhab.viewer.sources.live_tracks import begin_tracks, extend_tracks
 from mjhab.viewer.sources.pace import RealTimeClock
 from mjhab.viewer.sources.plan_overlay import ExpertPlanOverlay
-from mjhab.viewer.sources.switch import Switch
+from mjhab.viewer.sources.switch import PolicySwitch
 from mjhab.viewer.sources.takes import Cuttable, TakeRecorder
 from mjhab.viewer.sources.track import Track
 
@@ -94,7 +94,7 @@ class LiveSession:
         self.hold_at_end = hold_at_end
         self.env: SequentialTaskEnv | None = None
         self._cuttable: Cuttable | None = None
-        self.switch: Switch | None = None
+        self.switch: PolicySwitch | None = None
         self.steps = 0
         self._shard = shard
         self._writer: ShardWriter | None = None
@@ -346,7 +346,7 @@ class LiveSession:
             self._cuttable = Cuttable(self.env)
             self._options = options
             self._plan = ExpertPlanOverlay(self.env)
-            self.switch = Switch(self.env, self.spec.asked.seed)
+            self.switch = PolicySwitch(self.env, self.spec.asked.seed)
         assert self.switch is not None
         self.switch.choose(full)
         if policy == HUMAN:

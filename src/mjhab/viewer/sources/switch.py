@@ -14,7 +14,7 @@ from mjhab.rollout.policy import Annotated, Fallible, Policy
 from mjhab.viewer.sources.hand import HUMAN, HandControl
 
 
-class Switch:
+class PolicySwitch:
     """A `Policy` that delegates to others, which can be changed between two control steps.
 
     A policy that gets control of a world is reset in that world, so that it starts from the present state. `notes` name

@@ -51,7 +51,7 @@ class PartWords:
 
 
 @dataclass(frozen=True)
-class _Part:
+class _PlacePart:
     """A part with its noun, its centre (3,) and its horizontal half-extents (2,) [m] in the frame of the template."""
 
     name: str
@@ -96,7 +96,7 @@ class TemplateWords:
         self, receptacles: Sequence[Receptacle], origins: Mapping[str, np.ndarray]
     ) -> dict[str, PartWords]:
         found: dict[str, PartWords] = {}
-        groups: dict[str, list[_Part]] = {"shelf": [], "open": []}
+        groups: dict[str, list[_PlacePart]] = {"shelf": [], "open": []}
         for r in receptacles:
             basin = next((word for word in BASINS if word in plain_words(r.name)), "")
             if r.kind == "drawer" and r.link in self.links:
@@ -107,7 +107,7 @@ class TemplateWords:
                 kind = "open" if r.kind == "open" else "shelf"
                 origin = origins.get(r.link, np.zeros(3))
                 at = origin + np.array(r.pos)
-                groups[kind].append(_Part(r.name, kind, at, np.array(r.half)))
+                groups[kind].append(_PlacePart(r.name, kind, at, np.array(r.half)))
         for name, words in self._placed(groups["shelf"]).items():
             found[name] = PartWords("on", words)
         for name, words in self._placed(groups["open"]).items():
@@ -115,7 +115,7 @@ class TemplateWords:
             found[name] = PartWords("on", f"{where} part" if where else "")
         return found
 
-    def _placed(self, parts: Sequence[_Part]) -> dict[str, str]:
+    def _placed(self, parts: Sequence[_PlacePart]) -> dict[str, str]:
         """Words of parts by name: the noun with what tells it from others of the same noun."""
         words: dict[str, str] = {}
         for noun in dict.fromkeys(part.noun for part in parts):
@@ -129,12 +129,12 @@ class TemplateWords:
                     words |= {part.name: f"{where} {noun}".strip() for part in row}
         return words
 
-    def _columns(self, parts: Sequence[_Part]) -> list[list[_Part]]:
+    def _columns(self, parts: Sequence[_PlacePart]) -> list[list[_PlacePart]]:
         """Parts that are above one another, from left to right: of two, half of the narrower one at least."""
         if self.front is None:
             return [list(parts)]
         left = left_of(self.front)
-        columns: list[list[_Part]] = []
+        columns: list[list[_PlacePart]] = []
         for part in sorted(parts, key=lambda part: ordered_sum(part.across(left))):
             if columns and _overlap(part.across(left), columns[-1][0].across(left)):
                 columns[-1].append(part)
@@ -184,9 +184,9 @@ def _ordinal(number: int) -> str:
     return _ORDINALS[number - 1] if number <= len(_ORDINALS) else f"{number}th"
 
 
-def _rows(parts: Sequence[_Part]) -> list[list[_Part]]:
+def _rows(parts: Sequence[_PlacePart]) -> list[list[_PlacePart]]:
     """Parts by height, the highest first."""
-    rows: list[list[_Part]] = []
+    rows: list[list[_PlacePart]] = []
     for part in sorted(parts, key=lambda part: -part.centre[2]):
         if rows and rows[-1][-1].centre[2] - part.centre[2] <= ROW_GAP_M:
             rows[-1].append(part)
@@ -215,12 +215,12 @@ def _link_noun(link: Link) -> str:
     return next((word for word in named if word in LINK_NOUNS), usual)
 
 
-def _link_part(link: Link, meshes: Mapping[str, object]) -> _Part:
+def _link_part(link: Link, meshes: Mapping[str, object]) -> _PlacePart:
     points = np.concatenate([outline(geom, meshes) for geom in link.geoms])
     low = points.min(0)
     high = points.max(0)
     centre = np.array(link.pos) + (low + high) / 2
-    return _Part(link.name, _link_noun(link), centre, (high - low)[:2] / 2)
+    return _PlacePart(link.name, _link_noun(link), centre, (high - low)[:2] / 2)
 
 
 def _plan_box(geoms: Sequence[Geom], meshes: Mapping[str, object]) -> np.ndarray | None:

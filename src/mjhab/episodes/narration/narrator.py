@@ -34,7 +34,7 @@ _DEEP_M = -5.0
 """Objects below this height [m] are parked: the episode does not use them."""
 
 
-class Narrator:
+class InstructionGenerator:
     """Makes the language instructions of episodes of a layout.
 
     What is said of a subtask is true, and fits one thing only, when it starts, after the subtasks before it. What is

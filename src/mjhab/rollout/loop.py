@@ -59,7 +59,7 @@ def rollout(
             stack.callback(sink.close)
         for sink in sinks:
             sink.on_begin(env, episodes)
-        run = _Run(env, policy, episodes, seed, sinks, max_steps)
+        run = _Rollout(env, policy, episodes, seed, sinks, max_steps)
         while run.active.any():
             run.step()
         return sorted(run.records, key=lambda record: record.index)
@@ -96,7 +96,7 @@ def _check_env(env: RolloutEnv) -> None:
         )
 
 
-class _Run:
+class _Rollout:
     """State of one call of ``rollout``."""
 
     def __init__(

@@ -62,7 +62,7 @@ from mjhab.tasks.subtasks.registry import properties
 _checkers = operator.attrgetter(*CHECKERS)
 
 
-class Told(Protocol):
+class StepEvents(Protocol):
     """Events of one control step, and the records of subtasks that ended in it, as entries of `info`."""
 
     def entries(self) -> dict[str, Any]:
@@ -255,11 +255,13 @@ class TaskLoop(VectorEnv, ABC):
         """
 
     @abstractmethod
-    def _note(self, signals: Signals, outcome: StepOutcome, progress: Progress) -> Told:
+    def _note(
+        self, signals: Signals, outcome: StepOutcome, progress: Progress
+    ) -> StepEvents:
         """Update the tracker with a step and its ``outcome``; ``progress`` is that before the pointer advances."""
 
     @abstractmethod
-    def _nothing(self) -> Told:
+    def _nothing(self) -> StepEvents:
         """Notes of a step without events and without ended subtasks."""
 
     @abstractmethod
@@ -463,7 +465,7 @@ class TaskLoop(VectorEnv, ABC):
         return RewardInputs(self.state, world, signals, self.focus, progress)
 
     def _finish(
-        self, told: Told, reward: Array, outcome: StepOutcome
+        self, told: StepEvents, reward: Array, outcome: StepOutcome
     ) -> tuple[dict, Array, Array, Array, dict]:
         """Reset finished worlds according to the autoreset mode, begin next subtasks; returns the result of `step`."""
         mode = self.config.autoreset
@@ -512,7 +514,7 @@ class TaskLoop(VectorEnv, ABC):
         """`info` of the present state, without events; `reset` must have been called."""
         return self._info(self._nothing())
 
-    def _info(self, told: Told) -> dict[str, Any]:
+    def _info(self, told: StepEvents) -> dict[str, Any]:
         """Make the dict `info`: arrays (W,), which later steps do not modify, and the entries of ``told``.
 
         Keys: "pointer", "kind" of the active subtask, "steps_left", "robot_force" [N] without the fingers,

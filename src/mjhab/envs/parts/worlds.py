@@ -16,7 +16,7 @@ from mjhab.tasks.signals import Signals
 from mjhab.tasks.thresholds import TaskConfig
 
 
-class Worlds(Protocol):
+class ExpertWorlds(Protocol):
     """W worlds of an environment on the CPU, read-only. `sequential.SequentialTaskEnv` is one."""
 
     @property

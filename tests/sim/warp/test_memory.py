@@ -109,7 +109,7 @@ def test_buffer_sizes_are_measured_for_every_kind_of_servos(
 
     def measure(layout: Layout, model: Any, *_: object) -> Any:
         measured.append(model)
-        return warp_sizes.Demand(
+        return warp_sizes.BufferUsage(
             contacts=1, mean_contacts=1.0, ccd=1, mean_ccd=1.0, rows=1, awake=1
         )
 

@@ -64,7 +64,7 @@ _FORMAT = "mjhab-warp-sizes-1"
 
 
 @dataclass(frozen=True)
-class Demand:
+class BufferUsage:
     """Measured demand of one world on each of `BufferSizes`: the largest, and for shared buffers also the mean."""
 
     contacts: int
@@ -157,8 +157,8 @@ def buffer_sizes(
     return demand.sizes(num_worlds, first.nv)
 
 
-def _load(path: Path) -> Demand:
-    return Demand(**json.loads(path.read_text(encoding="utf-8")))
+def _load(path: Path) -> BufferUsage:
+    return BufferUsage(**json.loads(path.read_text(encoding="utf-8")))
 
 
 def changed_sizes(sizes: BufferSizes, changes: Mapping[str, int]) -> BufferSizes:
@@ -182,7 +182,7 @@ def measure_demand(
     a: Addresses,
     homes: list[Home],
     device: wp.Device,
-) -> Demand:
+) -> BufferUsage:
     """Run stress rollouts in ``homes`` on C MuJoCo, and measure the demand of states of them on the device."""
     engine = Engine(model(homes[0].name), a, 1, len(homes), _GENEROUS, device)
     turns = [home for home in homes for _ in range(ROUNDS)]
@@ -199,7 +199,7 @@ def measure_demand(
     )
     contacts, ccd, rows = needs.T
     most_rows = max(int(rows.max()), *(run.rows for run in runs))
-    return Demand(
+    return BufferUsage(
         int(contacts.max()),
         float(contacts.mean()),
         int(ccd.max()),

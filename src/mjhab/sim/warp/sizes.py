@@ -104,7 +104,7 @@ class BufferUsage:
 
 
 @dataclass(frozen=True, eq=False)
-class Stress:
+class StressRollout:
     """Result of a stress rollout.
 
     Attributes:
@@ -211,7 +211,7 @@ def measure_demand(
 
 def stress(
     layout: Layout, home: Home, model: mujoco.MjModel, a: Addresses, index: int
-) -> Stress:
+) -> StressRollout:
     """Simulate random commands at full speed near objects on the receptacles of a home; ``index`` seeds the draws."""
     rng = stream(0, "warp stress", index)
     data = mujoco.MjData(model)
@@ -237,7 +237,7 @@ def stress(
         awake = max(awake, data.nv_awake)
     order = np.argsort(counts, kind="stable")[-WORST_STATES:].tolist()
     order += rng.choice(STRESS_STEPS, OTHER_STATES, replace=False).tolist()
-    return Stress([states[i] for i in order], rows, awake)
+    return StressRollout([states[i] for i in order], rows, awake)
 
 
 def _strew(

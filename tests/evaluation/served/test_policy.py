@@ -16,7 +16,12 @@ from mjhab.core.errors import UsageError
 from mjhab.evaluation.evaluate import close_policy, requests_of
 from mjhab.evaluation.resolve import PolicyOptions, inspect_policy, resolve_policy
 from mjhab.evaluation.served.action_spaces import space_named
-from mjhab.evaluation.served.twin import Place, Twin, TwinResponder, TwinSession
+from mjhab.evaluation.served.twin import (
+    ObservationAdapter,
+    Place,
+    TwinResponder,
+    TwinSession,
+)
 from mjhab.learning.checkpoint import save_student
 from mjhab.learning.configs import InputConfig
 from mjhab.learning.observation.spec import observation_spec_of
@@ -383,8 +388,8 @@ def test_a_policy_that_reads_no_instruction_says_so() -> None:
 
 def test_twins_follow_their_episodes_as_worlds_of_a_batch_come_and_go() -> None:
     class Lender:
-        def borrow(self, config: Mapping[str, Any]) -> Twin:
-            return Twin(cast(Any, None), ZeroPolicy())
+        def borrow(self, config: Mapping[str, Any]) -> ObservationAdapter:
+            return ObservationAdapter(cast(Any, None), ZeroPolicy())
 
     def part(index: int, step: int) -> dict[str, Any]:
         return {"world": {"episode": {"seed": 0, "index": index}}, "step": step}

@@ -46,7 +46,7 @@ class Place:
 
 
 @dataclass
-class Twin:
+class ObservationAdapter:
     """An environment of one world and the policy that acts in it. expects: control step of the next request."""
 
     env: SequentialTaskEnv
@@ -74,7 +74,7 @@ class TwinResponder:
         self.facts: PolicyFacts = self._opened.facts
         self._options = options
         self._assets = assets
-        self._idle: list[tuple[Mapping[str, Any], Twin]] = []
+        self._idle: list[tuple[Mapping[str, Any], ObservationAdapter]] = []
         self._lock = threading.Lock()
 
     def metadata(self) -> Mapping[str, Any]:
@@ -92,7 +92,7 @@ class TwinResponder:
         """Make the session of a new connection."""
         return TwinSession(self)
 
-    def borrow(self, config: Mapping[str, Any]) -> Twin:
+    def borrow(self, config: Mapping[str, Any]) -> ObservationAdapter:
         """Take an idle twin with this environment configuration, or make one.
 
         Raises:
@@ -109,7 +109,7 @@ class TwinResponder:
             env.reset(seed=0)
             return Twin(env, self._opened.build(env, self._options))
 
-    def give_back(self, config: Mapping[str, Any], twin: Twin) -> None:
+    def give_back(self, config: Mapping[str, Any], twin: ObservationAdapter) -> None:
         """Return a twin to the idle ones, for the next connection."""
         with self._lock:
             self._idle.append((config, twin))
@@ -148,7 +148,7 @@ class TwinSession:
     def __init__(self, responder: TwinResponder) -> None:
         self._responder = responder
         self._config: Mapping[str, Any] = {}
-        self._twins: list[Twin] = []
+        self._twins: list[ObservationAdapter] = []
 
     def reset(self) -> None:
         """Start a new episode."""
@@ -171,10 +171,10 @@ class TwinSession:
 
     def _assigned(
         self, parts: Sequence[Mapping[str, Any]]
-    ) -> list[tuple[Twin, Mapping[str, Any]]]:
+    ) -> list[tuple[ObservationAdapter, Mapping[str, Any]]]:
         """Assign a twin to each world, if possible the one that served the previous step of its episode."""
         free = list(self._twins)
-        chosen: dict[int, Twin] = {}
+        chosen: dict[int, ObservationAdapter] = {}
         for k, part in enumerate(parts):
             known = [twin for twin in free if twin.expects == _place_of(part)]
             if known:
@@ -196,7 +196,7 @@ class TwinSession:
         self._twins = []
 
 
-def _act(twin: Twin, part: Mapping[str, Any]) -> np.ndarray:
+def _act(twin: ObservationAdapter, part: Mapping[str, Any]) -> np.ndarray:
     """Action (A,) of the twin's policy in the state of a world."""
     env = twin.env
     place = _place_of(part)

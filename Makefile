@@ -220,6 +220,7 @@ check: $(VENV)/.dev  ## lint, format, types and the import rule
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/pyright
+	$(BIN)/python tests/guard/dead_names.py
 	$(BIN)/python -m pytest -q tests/test_imports.py
 
 format: $(VENV)/.dev  ## rewrite the sources in the house format

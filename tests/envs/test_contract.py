@@ -28,7 +28,7 @@ from mjhab.episodes.spawn_factory import make_set
 from mjhab.episodes.spawn_sets import SpawnRecipe
 from mjhab.robots.registry import robot_named
 from mjhab.sim.protocol import TAINTS
-from mjhab.tasks.labelling.state import WATCHED
+from mjhab.tasks.label_state import WATCHED
 from mjhab.tasks.subtasks.registry import force_limits, limits_of
 from tests.refusals import refused
 

@@ -23,12 +23,12 @@ from mjhab.envs.sequential import SequentialTaskEnv
 from mjhab.robots.controllers import BASES, CONTROL_MODES, make_controller
 from mjhab.robots.fetch.model import REST_QPOS
 from mjhab.sim.protocol import SimState
+from mjhab.tasks import label_state
 from mjhab.tasks import progress as progress_rules
 from mjhab.tasks.labelling import events, labels
-from mjhab.tasks.labelling import state as label_state
 from mjhab.tasks.measure import measure
 from mjhab.tasks.plan import SubtaskKind
-from mjhab.tasks.rewards.scoring import RewardOptions
+from mjhab.tasks.scoring import RewardOptions
 from mjhab.tasks.subtasks.registry import name_of
 from tests.no_sync import NoSync
 

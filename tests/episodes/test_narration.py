@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from mjhab.episodes.generator import EpisodeMaker
-from mjhab.episodes.narration import Narrator
+from mjhab.episodes.narration import InstructionGenerator
 from mjhab.episodes.narration.apart import Landmark, Mark, mark
 from mjhab.episodes.rosters import roster
 from mjhab.layout.layout import Layout
@@ -53,7 +53,7 @@ def test_a_registered_object_is_called_by_its_words(
     plan = TaskPlan("set_table", (Subtask(number_of("pick"), mug), way, place))
     names = set()
     for index in range(12):
-        told = Narrator(layout).instructions(
+        told = InstructionGenerator(layout).instructions(
             dataclasses.replace(episode, index=index), plan, alone=False
         )
         for sentence in (*told.subtasks, told.task):
@@ -73,7 +73,7 @@ def test_words_of_an_object_are_a_tuple_of_texts() -> None:
 
 def test_set_table_names_drawer_fridge_and_table() -> None:
     layout = Layout(open_pack("builtin"), roster("set_table"))
-    narrator = Narrator(layout)
+    narrator = InstructionGenerator(layout)
     episode = EpisodeMaker(CpuSimulator(layout, 1, 1), "set_table", "train").episode(0, 0)
     plan = chain("set_table", episode.targets, episode.home)
     told = narrator.instructions(episode, plan, alone=False)
@@ -91,7 +91,7 @@ def test_set_table_names_drawer_fridge_and_table() -> None:
     )
 
     # The words are those of the episode: the same when asked again, others in other episodes.
-    assert Narrator(layout).instructions(episode, plan, alone=False) == told
+    assert InstructionGenerator(layout).instructions(episode, plan, alone=False) == told
     others = [dataclasses.replace(episode, index=index) for index in range(1, 20)]
     assert (
         len({narrator.instructions(other, plan, alone=False).task for other in others})
@@ -101,7 +101,7 @@ def test_set_table_names_drawer_fridge_and_table() -> None:
 
 def test_drawers_and_doors_are_told_by_where_they_are() -> None:
     layout = Layout(open_pack("builtin"), roster("set_table"))
-    words = Narrator(layout)._words(layout.pack.homes[0].name)
+    words = InstructionGenerator(layout)._words(layout.pack.homes[0].name)
     called = {link: words.link(link) for link in layout.link_ids}
     assert called == {
         "fridge/top_door": "top door of the fridge",
@@ -120,7 +120,7 @@ def test_drawers_and_doors_are_told_by_where_they_are() -> None:
 def test_no_two_places_of_a_home_have_the_same_words(folder: str) -> None:
     pack = open_pack(folder if folder == "builtin" else str(real_data(folder)))
     layout = Layout(pack, ())
-    narrator = Narrator(layout)
+    narrator = InstructionGenerator(layout)
     for home in pack.homes[::10]:
         words = narrator._words(home.name)
         told = [words.spot(place).phrase() for place in words.receptacles]

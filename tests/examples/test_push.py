@@ -15,7 +15,7 @@ from mjhab.tasks.labelling.labels import label_history, label_names
 from mjhab.tasks.measure import measure
 from mjhab.tasks.plan import Subtask, TaskPlan, stack_plans
 from mjhab.tasks.progress import start
-from mjhab.tasks.rewards.scoring import DenseReward
+from mjhab.tasks.scoring import DenseReward
 from mjhab.tasks.signals import Signals, WorldState
 from mjhab.tasks.subtasks.registry import SUBTASKS, event_columns, number_of, spec_of
 from tests.examples.plugins import loaded, run

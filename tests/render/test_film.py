@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from mjhab.core.errors import MjhabError, UsageError
-from mjhab.render.film import FilmWriter, join_films, write_film
+from mjhab.render.film import FilmWriter, join_films
 
 
 def decode(path):
@@ -20,6 +20,13 @@ def decode(path):
     return np.array(
         [np.frombuffer(f, np.uint8).reshape(height, width, 3) for f in reader]
     ), meta
+
+
+def write_film(path, images, fps=20.0):
+    with FilmWriter(path, fps) as film:
+        for image in images:
+            film.add(image)
+    return film.frames
 
 
 def frames(count, height, width):

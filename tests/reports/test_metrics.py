@@ -20,7 +20,6 @@ from mjhab.reports.metrics import (
     rows_by_kind,
     rows_by_position,
     summarize,
-    taint_counts,
     wilson,
 )
 from mjhab.rollout.loop import rollout
@@ -200,12 +199,10 @@ def test_rows_without_any_episode_reaching_them() -> None:
     )
 
 
-def test_labels_and_taints_are_counted(records: list[EpisodeRecord]) -> None:
+def test_labels_are_counted(records: list[EpisodeRecord]) -> None:
     counts = labels_by_kind(records)
     assert set(counts) == {kind for kind, _ in SET_TABLE}
     assert counts["pick"]["straightforward_success"] > 0
-    flags = taint_counts(records)
-    assert set(flags) == {"contact_overflow", "deep_penetration"}
 
 
 def test_target_type_drops_the_instance_number_only() -> None:

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mjhab.rollout.films import FILM_FPS, FilmSink, film_second
+from mjhab.rollout.films import FILM_FPS, FilmSink
 from mjhab.rollout.loop import rollout
 from mjhab.rollout.policy import ZeroPolicy
 from tests.rollout.fake_env import FakeEnv
@@ -58,11 +58,6 @@ def test_wanted_episodes_are_filmed_every_second_step() -> None:
         assert film.state == "closed" and film.fps == FILM_FPS
         assert len(film.frames) == 1 + records[index].steps // 2
         assert film.frames[0].shape == (360, 480, 3) and film.frames[0].dtype == np.uint8
-
-
-def test_a_step_is_shown_at_its_second_of_the_film() -> None:
-    assert film_second(0) == 0.0
-    assert film_second(40) == 1.0, "2 s of 20 Hz control pass in 1 s of film"
 
 
 def test_broken_camera_stops_films_and_not_episodes() -> None:

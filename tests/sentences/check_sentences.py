@@ -23,7 +23,7 @@ from mjhab.config.env import EnvConfig, task_config
 from mjhab.core.registration.plugins import load_plugins
 from mjhab.envs.parts.reporting import describe_episode
 from mjhab.episodes.episode import Episode
-from mjhab.episodes.narration import Narrator
+from mjhab.episodes.narration import InstructionGenerator
 from mjhab.episodes.source import EpisodeSource, open_setting
 from mjhab.robots.registry import robot_named
 from mjhab.sim.mujoco.cpu import CpuSimulator
@@ -43,7 +43,7 @@ class Checker:
         config = EnvConfig(task=task, assets=assets, num_envs=1)
         setting = open_setting(config)
         self.sim = CpuSimulator(setting.layout, 1, 1)
-        self.narrator = Narrator(setting.layout)
+        self.narrator = InstructionGenerator(setting.layout)
         kinds = ("", *TASKS[task].subtasks)
         homes = setting.layout.pack.homes
         self._splits = [split for split in SPLITS if any(h.split == split for h in homes)]

@@ -10,7 +10,7 @@ import torch
 
 from mjhab.core.arrays import map_record
 from mjhab.core.joints import JointColumns
-from mjhab.tasks.labelling.state import History
+from mjhab.tasks.label_state import History
 from mjhab.tasks.plan import PlanArrays, Subtask, SubtaskKind, TaskPlan, stack_plans
 from mjhab.tasks.signals import Signals, WorldState
 from mjhab.tasks.thresholds import TaskConfig

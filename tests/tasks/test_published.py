@@ -21,7 +21,6 @@ from mjhab.core.arrays import map_record
 from mjhab.core.errors import UsageError
 from mjhab.tasks.measure import measure
 from mjhab.tasks.progress import start
-from mjhab.tasks.rewards.scoring import DenseReward, RewardOptions
 from mjhab.tasks.rewards.table import RewardView
 from tests.refusals import refused
 from tests.tasks.build import CONFIG, REST, plan_of, resting, to_torch

@@ -13,12 +13,12 @@ import mjhab
 from mjhab.core.errors import UsageError
 from mjhab.tasks.household.registry import TASKS, task_with
 from mjhab.tasks.household.spec import TargetRule, TaskSpec
+from mjhab.tasks.label_state import WATCHED, fold
 from mjhab.tasks.labelling.events import edge_events
 from mjhab.tasks.labelling.labels import label
 from mjhab.tasks.labelling.legacy import legacy_label
-from mjhab.tasks.labelling.state import WATCHED, fold
 from mjhab.tasks.plan import Subtask, SubtaskKind
-from mjhab.tasks.rewards.scoring import DenseReward, reward_table
+from mjhab.tasks.scoring import DenseReward, reward_table
 from mjhab.tasks.subtasks.pick import PICK
 from mjhab.tasks.subtasks.registry import (
     SUBTASKS,

@@ -31,7 +31,7 @@ from mjhab.scenes.spec import HANDLE_POINTS, JOINT_DYNAMICS
 from mjhab.sim.backends import BACKENDS, check_device
 from mjhab.tasks.household.registry import TASKS
 from mjhab.tasks.household.spec import TaskSpec
-from mjhab.tasks.rewards.scoring import REWARD_FORMULAS, REWARD_NORMALISERS, RewardOptions
+from mjhab.tasks.scoring import REWARD_FORMULAS, REWARD_NORMALISERS, RewardOptions
 from mjhab.tasks.subtasks.registry import SUBTASKS
 from mjhab.tasks.subtasks.spec import SubtaskSpec
 from mjhab.tasks.thresholds import STILLNESS, SubtaskConfig, TaskConfig
@@ -133,9 +133,9 @@ class EnvConfig:
     )
     """Changes of the scales of single dense reward terms, as {"pick": {"reach": 4.0}}."""
     reward_formula: Annotated[str, Flag(metavar="bounded|published")] = OF_PROFILE
-    """How dense reward terms are computed, see `tasks.rewards.scoring.RewardOptions`."""
+    """How dense reward terms are computed, see `tasks.scoring.RewardOptions`."""
     reward_normaliser: Annotated[str, Flag(metavar="attainable|published")] = OF_PROFILE
-    """What normalized_dense divides by, see `tasks.rewards.scoring.RewardOptions`."""
+    """What normalized_dense divides by, see `tasks.scoring.RewardOptions`."""
     stillness: Annotated[str, Flag(metavar="absolute|published")] = OF_PROFILE
     """Whether a joint that moves backwards counts as moving (absolute) or as still (published), see
     `TaskConfig.stillness`."""

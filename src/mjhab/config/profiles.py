@@ -36,7 +36,7 @@ class Profile:
         "published": anywhere within 2 m, Place with the arm of a successful Pick, see `starts` and `carry_postures`.
     stationary: parts of the robot that do not follow their actions (mshab/envs/wrappers/action.py: the head).
     force_limits: whether the limits on the cumulative force are in force; they are those of the paper.
-    reward_formula, reward_normaliser: see `tasks.rewards.scoring.RewardOptions`.
+    reward_formula, reward_normaliser: see `tasks.scoring.RewardOptions`.
     cameras: whose images are observed, in this order; None for all of the robot's.
     frame_stack: frames that `wrappers.FrameStack` stacks.
     handle_points: "ours" or "published": which points observations and rewards take for handles.

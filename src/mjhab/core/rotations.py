@@ -171,11 +171,6 @@ def pose_inv(pose: Array) -> Array:
     return namespace(pose).concat([-quat_rotate(quat, pose[..., :3]), quat], axis=-1)
 
 
-def pose_apply(pose: Array, point: Array) -> Array:
-    """Map points (..., 3) from the frame of ``pose`` (..., 7) to the frame the pose is given in."""
-    return pose[..., :3] + quat_rotate(pose[..., 3:], point)
-
-
 def frame_from_axes(approach: Array, closing: Array) -> Array:
     """Rotations (..., 3, 3) with x along ``approach`` (..., 3) and y along ``closing`` made orthogonal to it."""
     xp = namespace(approach, closing)

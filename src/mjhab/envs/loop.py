@@ -94,7 +94,7 @@ class TaskLoop(VectorEnv, ABC):
     """
 
     sim: Any
-    """Simulator of the worlds: a `sim.protocol.Simulator`, on a device a `WarpSimulator`."""
+    """Simulator of the worlds: a `CpuSimulator`, on a device a `WarpSimulator`."""
     observer: ObservedRows
     tables: Tables
     tracker: SubtaskNotes

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 import tempfile
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
@@ -200,20 +200,3 @@ def join_films(parts: Sequence[Path], path: Path) -> None:
     if done.returncode != 0:
         tail = done.stderr.decode(errors="replace").strip()[-400:]
         raise MjhabError(f"ffmpeg could not write {path}: {tail or 'it ended early'}.")
-
-
-def write_film(path: str | Path, frames: Iterable[np.ndarray], fps: float = 20.0) -> int:
-    """Write frames to an mp4 with `FilmWriter`, whose errors it raises.
-
-    Args:
-        path: the mp4 to write.
-        frames: (H, W, 3) uint8 sRGB each, all of one size; at least one.
-        fps: frames per second.
-
-    Returns:
-        Number of frames written.
-    """
-    with FilmWriter(path, fps) as film:
-        for frame in frames:
-            film.add(frame)
-    return film.frames

@@ -6,7 +6,6 @@ import functools
 import os
 import subprocess
 import sys
-from collections.abc import Mapping
 
 GL_BACKENDS = ("egl", "osmesa")
 PROBE_SECONDS = 20.0
@@ -50,13 +49,3 @@ def _probe() -> tuple[tuple[str, bool], ...]:
 def renderer_probe() -> dict[str, bool]:
     """Test whether each renderer works here: "rasterizer" (always True), "egl", "osmesa"; once per process."""
     return dict(_probe())
-
-
-def best_renderer(probe: Mapping[str, bool] | None = None) -> str:
-    """Choose the renderer for large images for people: the first GL backend that works, else "rasterizer".
-
-    Args:
-        probe: result of `renderer_probe`; None runs it.
-    """
-    found = renderer_probe() if probe is None else probe
-    return next((backend for backend in GL_BACKENDS if found.get(backend)), "rasterizer")

@@ -222,8 +222,3 @@ def labels_by_kind(records: Sequence[EpisodeRecord]) -> dict[str, Counter[str]]:
             if subtask.label is not None:
                 counts.setdefault(subtask.kind, Counter())[subtask.label] += 1
     return counts
-
-
-def taint_counts(records: Sequence[EpisodeRecord]) -> Counter[str]:
-    """Return how many episodes raised each flag."""
-    return Counter(name for record in records for name in record.taint)

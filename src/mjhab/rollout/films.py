@@ -109,8 +109,3 @@ class FilmSink(Sink[RolloutEnv]):
     def _give_up(self, error: Exception) -> None:
         self.problem = f"{type(error).__name__}: {error}"
         self.close()
-
-
-def film_second(step: float, every: int = FILM_EVERY) -> float:
-    """Second of a film at which control step ``step`` is shown."""
-    return step / (every * FILM_FPS)

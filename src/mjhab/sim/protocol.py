@@ -1,15 +1,9 @@
-"""The interface of a simulator that environments use, the same for all physics engines."""
+"""The state that simulators give, and the events that make physics unreliable: the same for all physics engines."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
-
-import numpy as np
-
-from mjhab.layout.addresses import Addresses
-from mjhab.layout.layout import Layout
+from typing import Any
 
 TAINTS = (
     "contact_overflow",
@@ -70,68 +64,3 @@ class SimState:
     body_pos: Any
     body_mat: Any
     body_quat: Any
-
-
-class Simulator(Protocol):
-    """A batch of worlds of one layout: all are stepped together, each can be reset on its own.
-
-    Attributes:
-        layout: names, order and sizes shared by all homes.
-        addresses: indices of joints, bodies and sensors in the models of the layout.
-        num_worlds: W.
-        num_threads: CPU threads that step the worlds.
-    """
-
-    layout: Layout
-    addresses: Addresses
-    num_worlds: int
-    num_threads: int
-
-    def reset(self, ids: Sequence[int], homes: Sequence[str], qpos: np.ndarray) -> None:
-        """Reset worlds ``ids`` to the states ``qpos`` (n, nq) of ``homes`` with zero velocity.
-
-        Time, warm start and taint of these worlds are cleared; all other worlds stay bitwise the same.
-        """
-        ...
-
-    def mend(self, ids: Sequence[int], homes: Sequence[str], qpos: np.ndarray) -> None:
-        """Reset worlds that became NaN or infinite as `reset` does, but keep their taint."""
-        ...
-
-    def write_qpos(self, world: int, qpos: np.ndarray) -> None:
-        """Teleport one world to ``qpos`` (nq,) in its present home.
-
-        The velocities of the robot and of every object that moves become zero.
-        """
-        ...
-
-    def step(self, ctrl: np.ndarray) -> None:
-        """Advance all worlds by one control step (5 substeps of 10 ms) under ``ctrl`` (W, nu)."""
-        ...
-
-    def state(self) -> SimState:
-        """Return the current state of all worlds."""
-        ...
-
-    def get_world(self, world: int) -> dict[str, np.ndarray]:
-        """Return copies of the full physics state of one world: "time", "qpos", "qvel", "ctrl", "warmstart"."""
-        ...
-
-    def set_world(self, world: int, home: str, saved: Mapping[str, np.ndarray]) -> None:
-        """Restore one world in a home from a state of `get_world`, and clear its taint."""
-        ...
-
-    def broken(self) -> np.ndarray:
-        """Return (W,) bool: worlds that became NaN or infinite in the last step, or that the engine reset for it.
-
-        The state of such a world is meaningless until `mend`.
-        """
-        ...
-
-    def add_taint(self, world: int, mask: int) -> None:
-        """Set the bits ``mask`` in the taint of a world, e.g. those it had when the restored state was saved."""
-        ...
-
-    def taint(self) -> np.ndarray:
-        """Return (W,) uint8: bit mask of the TAINTS of each world since its reset."""
-        ...

@@ -268,24 +268,32 @@ def measure(
     sin = xp.sin(yaw)
     is_grasped, contact, target_force = _grip(state, active.navigate, config)
     there, placed_ok = _goals(state, plan, active, config)
-    # In the order of CHECKS.
-    rows = (
-        is_grasped,
-        _rest(state, cos, sin, config),
-        *_stillness(state, active.rest_tol, config),
-        cumulative <= active.force_limit,
-        contact,
-        state.target_contact | contact,
-        state.ee_contact | contact,
-        there,
-        *_joint(state, active, config),
-        *_arrival(state, active, cos, sin, config),
-        ~is_grasped,
-        is_grasped | ~active.must_hold,
-    )
+    robot_rest, is_static = _stillness(state, active.rest_tol, config)
+    opened, closed, slightly_opened, slightly_closed = _joint(state, active, config)
+    near, oriented = _arrival(state, active, cos, sin, config)
+    found = {
+        "is_grasped": is_grasped,
+        "ee_rest": _rest(state, cos, sin, config),
+        "robot_rest": robot_rest,
+        "is_static": is_static,
+        "force_ok": cumulative <= active.force_limit,
+        "contact": contact,
+        "touch": state.target_contact | contact,
+        "ee_contact": state.ee_contact | contact,
+        "at_goal": there,
+        "opened": opened,
+        "closed": closed,
+        "slightly_opened": slightly_opened,
+        "slightly_closed": slightly_closed,
+        "near": near,
+        "oriented": oriented,
+        "let_go": ~is_grasped,
+        "hold_ok": is_grasped | ~active.must_hold,
+    }
+    rows = [found[name] for name in CHECKS]
     checks = pile(_own_measures(rows, state, active, config)) & active.applies
     return Signals(
-        **dict(zip(SIGNAL_CHECKS, checks, strict=False)),
+        **dict(zip(SIGNAL_CHECKS, checks[: len(SIGNAL_CHECKS)], strict=True)),
         robot_force=state.robot_force,
         target_force=target_force,
         cumulative_force=cumulative,

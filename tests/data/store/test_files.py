@@ -31,7 +31,7 @@ from mjhab.data.store.schema import (
     field_of,
 )
 from mjhab.data.store.shard import ShardWriter
-from mjhab.tasks.labelling.state import History
+from mjhab.tasks.label_state import History
 from mjhab.tasks.signals import Signals
 from tests.data.fake_world import FakeEnv
 from tests.data.make import numbered, one_episode, record

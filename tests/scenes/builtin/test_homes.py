@@ -21,7 +21,6 @@ from mjhab.scenes.builtin.furniture import builtin_articulations
 from mjhab.scenes.builtin.home_plans import HARD
 from mjhab.scenes.builtin.homes import (
     EVERY,
-    VERSION_ONE,
     builtin_homes,
     keep_clear,
     make_home,
@@ -336,7 +335,7 @@ def test_homes_keep_their_geometry() -> None:
         return [round(v, 6) + 0.0 for v in values]
 
     digest = hashlib.sha256()
-    for macro, micro in VERSION_ONE:
+    for macro, micro in ((0, 0), (0, 1), (1, 0), (2, 0), (3, 0), (4, 0)):
         home = make_home(macro, micro)
         for placement in (*home.props, *home.articulations):
             digest.update(

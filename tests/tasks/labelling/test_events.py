@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from mjhab.tasks.label_state import History
 from mjhab.tasks.labelling.events import blank, event_names, step_events
 from mjhab.tasks.labelling.labels import label_history, label_names
 from mjhab.tasks.labelling.legacy import extend, legacy_history, legacy_label
-from mjhab.tasks.labelling.state import History
 from mjhab.tasks.labelling.tracker import SubtaskTracker
 from mjhab.tasks.plan import SubtaskKind
 from mjhab.tasks.subtasks.registry import event_columns, spec_of

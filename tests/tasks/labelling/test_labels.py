@@ -10,8 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from mjhab.tasks.labelling.labels import label, label_history, label_names
-from mjhab.tasks.labelling.state import (
+from mjhab.tasks.label_state import (
     WATCHED,
     History,
     fold,
@@ -21,6 +20,7 @@ from mjhab.tasks.labelling.state import (
     start,
     update,
 )
+from mjhab.tasks.labelling.labels import label, label_history, label_names
 from mjhab.tasks.plan import SubtaskKind
 from mjhab.tasks.subtasks.registry import spec_of
 from tests.tasks.build import (

@@ -12,8 +12,8 @@ from mjhab.core.arrays import map_record
 from mjhab.tasks.measure import measure
 from mjhab.tasks.plan import Subtask, SubtaskKind, TaskPlan, stack_plans
 from mjhab.tasks.progress import start
-from mjhab.tasks.rewards.scoring import DenseReward
 from mjhab.tasks.rewards.table import RewardView
+from mjhab.tasks.scoring import DenseReward
 from mjhab.tasks.signals import WorldState
 from mjhab.tasks.thresholds import TaskConfig
 from tests.tasks.build import CONFIG, REST, resting, squeeze

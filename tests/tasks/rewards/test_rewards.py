@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from mjhab.core.errors import UsageError
-from mjhab.tasks.rewards.scoring import DenseReward, RewardOptions, reward_table
 from mjhab.tasks.rewards.table import RewardView, closed_near, near
+from mjhab.tasks.scoring import DenseReward, RewardOptions, reward_table
 from mjhab.tasks.subtasks.registry import SUBTASKS, number_of
 from mjhab.tasks.thresholds import SubtaskConfig
 from tests.tasks.build import CONFIG, REST, squeeze

@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 
 from mjhab.core.arrays import map_record
 from mjhab.tasks.plan import SubtaskKind
-from mjhab.tasks.rewards.scoring import DenseReward, RewardOptions, reward_table
 from mjhab.tasks.rewards.table import RewardTable, RewardView
+from mjhab.tasks.scoring import DenseReward, RewardOptions, reward_table
 from mjhab.tasks.subtasks.registry import SUBTASKS, name_of
 from tests.tasks.build import CONFIG, assert_same
 from tests.tasks.rewards.states import (

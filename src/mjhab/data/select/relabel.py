@@ -14,10 +14,10 @@ from mjhab.data.store.reading import RecordedEpisode, open_shard
 from mjhab.data.store.schema import DamagedError
 from mjhab.data.store.shard import rewrite
 from mjhab.rollout.records import EpisodeRecord, Event, SubtaskRecord
+from mjhab.tasks.label_state import History
 from mjhab.tasks.labelling.events import event_names, step_events
 from mjhab.tasks.labelling.labels import label_history, label_names
 from mjhab.tasks.labelling.legacy import legacy_history
-from mjhab.tasks.labelling.state import History
 from mjhab.tasks.subtasks.registry import recorded_number
 
 

@@ -55,7 +55,7 @@ from mjhab.data.store.schema import (
     checks_by_name,
 )
 from mjhab.rollout.records import EpisodeRecord
-from mjhab.tasks.labelling.state import History
+from mjhab.tasks.label_state import History
 
 BROKEN = (OSError, RuntimeError, ValueError, KeyError)
 """Exceptions that h5py raises for damaged files."""

@@ -28,7 +28,7 @@ from mjhab.envs.parts.memory import WorldPictures, check_device_memory
 from mjhab.envs.parts.plan_tables import Rows
 from mjhab.envs.parts.reporting import describe_episode
 from mjhab.envs.parts.rewarding import RewardInputs
-from mjhab.episodes.narration import Narrator
+from mjhab.episodes.narration import InstructionGenerator
 from mjhab.episodes.source import EpisodeSource, open_setting
 from mjhab.robots.controllers import make_controller
 from mjhab.sim.mujoco.cpu import CpuSimulator
@@ -102,7 +102,7 @@ class DeviceEnv(TaskLoop, VectorEnv):
                 self.num_envs, longest, self.device, self.config.teleports
             )
             self.teleporter = Teleporter(self.sim.addresses, self.device)
-            self._narrator = Narrator(self.layout)
+            self._narrator = InstructionGenerator(self.layout)
             self._source = EpisodeSource(host, config, self.task_config, setting.file)
             self.pool = StartPool(self._source, self.sim, pool_size(config), config.seed)
             self._set_spaces(self.observer.single_space, render_modes=[], tensors=True)

@@ -12,8 +12,8 @@ import torch
 
 from mjhab.core.arrays import Array, map_record, to_numpy
 from mjhab.envs.parts.tracking import Tracker
+from mjhab.tasks import label_state as lb
 from mjhab.tasks.labelling import events as ev
-from mjhab.tasks.labelling import state as lb
 from mjhab.tasks.labelling.labels import label
 from mjhab.tasks.plan import TaskPlan
 from mjhab.tasks.progress import Progress, StepOutcome

@@ -12,7 +12,7 @@ from mjhab.config.env import EnvConfig
 from mjhab.core.arrays import may_hold
 from mjhab.core.typed.frozen import FrozenMap
 from mjhab.episodes.episode import Episode
-from mjhab.episodes.narration import Narrator
+from mjhab.episodes.narration import InstructionGenerator
 from mjhab.layout.layout import Layout
 from mjhab.tasks.plan import TaskPlan
 
@@ -44,7 +44,7 @@ class Reporter:
     """
 
     def __init__(self, num_worlds: int, layout: Layout, config: EnvConfig) -> None:
-        self._narrator = Narrator(layout)
+        self._narrator = InstructionGenerator(layout)
         self._config = config
         self._described: list[TaskPlan | None] = [None] * num_worlds
         self._descriptions: list[Mapping[str, Any]] = [{} for _ in range(num_worlds)]
@@ -110,7 +110,7 @@ class Reporter:
 
 
 def describe_episode(
-    episode: Episode, plan: TaskPlan, config: EnvConfig, narrator: Narrator
+    episode: Episode, plan: TaskPlan, config: EnvConfig, narrator: InstructionGenerator
 ) -> Mapping[str, Any]:
     """Describe an episode for `info`: seed, index, home, plan and instructions, read-only.
 

@@ -16,8 +16,8 @@ from mjhab.envs.parts.sensing import Sensing
 from mjhab.layout.layout import Layout
 from mjhab.sim.protocol import SimState
 from mjhab.tasks.progress import Progress
-from mjhab.tasks.rewards.scoring import DenseReward, RewardOptions, kinds_at_hand
 from mjhab.tasks.rewards.table import IDEAL_SPEED, RewardView, closed_near
+from mjhab.tasks.scoring import DenseReward, RewardOptions, kinds_at_hand
 from mjhab.tasks.signals import Signals, WorldState
 from mjhab.tasks.subtasks.registry import SUBTASKS
 from mjhab.tasks.thresholds import TaskConfig

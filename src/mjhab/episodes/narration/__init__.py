@@ -2,4 +2,4 @@
 
 from mjhab.episodes.narration.narrator import InstructionGenerator
 
-__all__ = ["Narrator"]
+__all__ = ["InstructionGenerator"]

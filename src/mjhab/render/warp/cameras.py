@@ -115,24 +115,6 @@ class WarpCameras:
             self._graphs.run("poses", self._place_cameras)
         return self._pos, self._mat
 
-    def device_bytes(self) -> dict[str, int]:
-        """Sum up the device memory of the arrays by purpose [bytes].
-
-        Returns:
-            "pictures": the images; "worlds": poses; "chunk": intermediate results of up to `WORLDS_AT_ONCE` worlds;
-            "scene": the scene without the bounding volume hierarchies of its meshes.
-        """
-        chunk = [self._frame, self._cells]
-        return {
-            "pictures": sum(
-                image.size * wp.types.type_size_in_bytes(image.dtype)
-                for image in self._images.values()
-            ),
-            "worlds": _bytes([self._worlds]),
-            "chunk": _bytes(chunk),
-            "scene": _bytes([self._scene.looks, self._scene.stills, self._scene.movers]),
-        }
-
     def _mount(self, model: Any) -> None:
         mounts = [self._sim.layout.robot.camera(name) for name in self._cameras]
         bodies = np.array([model.body(mount.body).id for mount in mounts], np.int32)

@@ -142,7 +142,7 @@ def still_of(stills: Stills, home: int, tag: int):
 
 @wp.func
 def mover_of(movers: Movers, tag: int):
-    """Index of the mover, and face in the render scene, of a mover's face, given its id ``tag`` in ``TracedFrame.ids``."""
+    """Index of the mover, and face in the render scene, of a mover's face, by its id ``tag`` in ``TracedFrame.ids``."""
     code = -1 - tag
     d = code >> TAG_BITS
     return wp.vec2i(d, movers.first_face[d] + (code & TAG_FACES))

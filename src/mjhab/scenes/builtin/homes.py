@@ -28,8 +28,6 @@ NUM_MICROS = 21
 WALL_HEIGHT_M = 2.6
 WALL_THICKNESS_M = 0.12
 Key = tuple[int, int]
-VERSION_ONE: tuple[Key, ...] = ((0, 0), (0, 1), (1, 0), (2, 0), (3, 0), (4, 0))
-"""(macro, micro) of six homes, a small subset for quick tests."""
 EVERY: tuple[Key, ...] = tuple(
     (macro, micro) for macro in range(len(PLANS)) for micro in range(NUM_MICROS)
 )

@@ -29,7 +29,6 @@ from mjhab.core.files.reading import parse_json, read_bytes, reason
 from mjhab.core.rotations import mat_from_quat
 from mjhab.scenes.formats.fields import Fields
 from mjhab.scenes.pack_check import MAX_FILE_NUMBER
-from mjhab.scenes.shapes.meshes import MAX_TEXTURE
 
 _COMPONENT = {
     5120: np.int8,
@@ -51,6 +50,8 @@ MAX_NODE_DEPTH = 100
 MAX_NODES = 10_000
 MAX_FILE_MB = 1024
 """Largest size of a file [MB]."""
+MAX_TEXTURE = 512
+"""Longest side of a texture [px]."""
 MAX_TEXTURE_PIXELS = 2**26
 """Largest number of pixels of a texture; the largest one of ReplicaCAD has 2**24."""
 MAX_PIXELS = 2**28

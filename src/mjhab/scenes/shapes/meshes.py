@@ -7,8 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-MAX_TEXTURE = 512
-"""Longest side of a texture [px]."""
 _OPTIONAL = ("face_color", "uv", "face_texture")
 
 
@@ -23,7 +21,7 @@ class Mesh:
         uv: (F, 3, 2) float32 texture coordinates of every face corner: (0, 0) at the outer corner of the first texel,
             (1, 1) at that of the last one, u along rows; textures repeat. None without textures.
         face_texture: (F,) int32, index into ``textures``, -1 for none. None without textures.
-        textures: images (h, w, 3) uint8 sRGB with sides that are powers of two up to `MAX_TEXTURE`.
+        textures: images (h, w, 3) uint8 sRGB with sides that are powers of two up to `gltf.MAX_TEXTURE`.
     """
 
     vertices: np.ndarray

@@ -50,7 +50,7 @@ def _log_warning(message: str) -> None:
 
 
 class CpuSimulator:
-    """Worlds on C MuJoCo through ``mujoco.batch.Batch``. See `Simulator` for the methods.
+    """Worlds on C MuJoCo through ``mujoco.batch.Batch``.
 
     Args:
         layout: names, order and sizes shared by all homes.

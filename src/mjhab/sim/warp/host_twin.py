@@ -58,7 +58,7 @@ class HostTwin:
         return map_record(_double, self.warp.state())
 
     def get_world(self, world: int) -> dict[str, np.ndarray]:
-        """Return the physics state of one world, see `Simulator.get_world`."""
+        """Return the physics state of one world, see `CpuSimulator.get_world`."""
         return self.warp.get_world(world)
 
     def set_world(self, world: int, home: str, saved: Mapping[str, np.ndarray]) -> None:

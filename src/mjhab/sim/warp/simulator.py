@@ -37,7 +37,7 @@ except ModuleNotFoundError as error:
 
 
 class WarpSimulator:
-    """Worlds on MuJoCo Warp. See `Simulator` for the methods; arrays are float32 torch tensors on the device.
+    """Worlds on MuJoCo Warp. It has the methods of `CpuSimulator`; arrays are float32 torch tensors on the device.
 
     Forces, flags and poses have the meaning they have in `CpuSimulator`. There, every tree of a reset world is awake
     for ten substeps; here, trees at rest sleep at once, because buffers and solver are sized for the awake ones.

@@ -11,7 +11,7 @@ from functools import lru_cache
 import numpy as np
 
 from mjhab.core.arrays import Array, Table, constant, count, namespace, to_numpy
-from mjhab.tasks.labelling.state import WATCHED, History, Watched, watch
+from mjhab.tasks.label_state import WATCHED, History, Watched, watch
 from mjhab.tasks.subtasks.registry import SUBTASKS, check_kinds, event_columns, spec_of
 from mjhab.tasks.subtasks.spec import EDGES
 

@@ -11,7 +11,7 @@ another link, such as the elbow, does not count.
 from __future__ import annotations
 
 from mjhab.core.arrays import Array, namespace, to_numpy
-from mjhab.tasks.labelling.state import History, LabelState, fold
+from mjhab.tasks.label_state import History, LabelState, fold
 from mjhab.tasks.subtasks.registry import SUBTASKS, check_kinds, spec_of
 
 

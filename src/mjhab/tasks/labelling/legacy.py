@@ -15,8 +15,8 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from mjhab.core.arrays import map_record, to_numpy
+from mjhab.tasks.label_state import History
 from mjhab.tasks.labelling.events import blank, event_names, step_events
-from mjhab.tasks.labelling.state import History
 from mjhab.tasks.subtasks.registry import spec_of
 
 

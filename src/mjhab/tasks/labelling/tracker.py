@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from mjhab.core.arrays import Array, may_hold, namespace, to_numpy
+from mjhab.tasks import label_state as lb
 from mjhab.tasks.labelling import events as ev
-from mjhab.tasks.labelling import state as lb
 from mjhab.tasks.labelling.labels import label, label_names
 from mjhab.tasks.labelling.legacy import extend, legacy_label
 from mjhab.tasks.subtasks.registry import PADDING

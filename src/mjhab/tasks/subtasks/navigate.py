@@ -10,7 +10,7 @@ from collections.abc import Sequence
 
 from mjhab.core.arrays import Array, namespace, norm3
 from mjhab.core.joints import BASE, BASE_X, BASE_Y, BASE_YAW
-from mjhab.tasks.labelling.state import LabelState
+from mjhab.tasks.label_state import LabelState
 from mjhab.tasks.rewards.table import (
     ALWAYS,
     RewardTable,

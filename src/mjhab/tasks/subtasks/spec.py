@@ -18,7 +18,7 @@ from mjhab.core.names import check_texts
 from mjhab.core.registration.plugins import raised_text
 from mjhab.core.typed.checks import check, check_one_of
 from mjhab.core.typed.options import take_types
-from mjhab.tasks.labelling.state import WATCHED, LabelState, uneventful
+from mjhab.tasks.label_state import WATCHED, LabelState, uneventful
 from mjhab.tasks.rewards.table import RewardTable
 from mjhab.tasks.signals import CHECKS, Active, WorldState
 from mjhab.tasks.thresholds import SubtaskConfig, TaskConfig

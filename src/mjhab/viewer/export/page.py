@@ -27,7 +27,7 @@ from mjhab.render.follow_camera import FollowCamera
 from mjhab.render.home_scene import build_render_scene
 from mjhab.reports.pages import base64_text, render_page
 from mjhab.reports.plots import event_tone, kind_color
-from mjhab.tasks.rewards.scoring import term_names
+from mjhab.tasks.scoring import term_names
 from mjhab.viewer.drawn.cameras import CameraThread
 from mjhab.viewer.drawn.models import DrawnHome, Look, Model, home_models
 from mjhab.viewer.drawn.posing import Poser, base_of

@@ -11,7 +11,7 @@ import numpy as np
 from mjhab.data.store.reading import RecordedEpisode
 from mjhab.data.store.schema import CHECKS, FORCES
 from mjhab.rollout.records import Event, PlanEntry
-from mjhab.tasks.rewards.scoring import term_names
+from mjhab.tasks.scoring import term_names
 from mjhab.tasks.subtasks.registry import limits_of
 from mjhab.tasks.thresholds import TaskConfig
 

@@ -413,7 +413,7 @@ def test_a_nan_world_resets_itself_and_the_others_do_not_notice(mode: str):
     assert np.isfinite(obs["state"]).all()
     if mode != "disabled":
         assert (
-            env.episode_of(1).index == INDEX_STRIDE + 1
+            env.episodes_now[1].index == INDEX_STRIDE + 1
             and not env.sim.taint()[1] & NAN_BIT
         )
 
@@ -607,7 +607,7 @@ def test_a_spawn_set_gives_the_starts_it_was_made_with(tmp_path: Path):
     np.testing.assert_array_equal(a["state"], b["state"])
     assert [spec["index"] for spec in info["episode_spec"]] == [0, 1, 2]
     used.reset(seed=4)
-    homes = {used.episode_of(w).home for w in range(3)}
+    homes = {episode.home for episode in used.episodes_now}
     assert homes <= {str(name) for name in made.columns["home"]}
     with pytest.raises(UsageError, match="place"):
         build(subtask="pick", spawns=str(made.path))

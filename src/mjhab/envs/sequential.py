@@ -142,12 +142,6 @@ class SequentialTaskEnv(TaskLoop, VectorEnv):
         """Make the episode ``index`` of a seed."""
         return self.source.episode(seed, index)
 
-    def episode_of(self, world: int) -> Episode:
-        """Episode of a world, which must have been reset."""
-        episode = self.episodes_now[world]
-        assert episode is not None, f"world {world} has not been reset"
-        return episode
-
     def episode_spec(self, world: int) -> Mapping[str, Any] | None:
         """Read-only description of a world's episode, see `describe_episode`; None before the first reset."""
         return self.reporter.describe(

@@ -10,7 +10,7 @@ import numpy as np
 from mjhab.core.typed.checks import check
 from mjhab.render.jit import color_inline, kernel
 from mjhab.render.patterns import pattern_tile
-from mjhab.scenes.shapes.meshes import MAX_TEXTURE
+from mjhab.scenes.formats.gltf import MAX_TEXTURE
 
 LEVELS = MAX_TEXTURE.bit_length() + 1
 """Number of mip levels of a texture; each has half the sides of the one before, down to one texel."""

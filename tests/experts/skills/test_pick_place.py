@@ -19,7 +19,7 @@ from mjhab.envs.sequential import SequentialTaskEnv
 from mjhab.episodes.grasps.candidates import (
     LyingObject,
     ObjectShape,
-    Options,
+    PinchOptions,
     grasp_candidates,
 )
 from mjhab.experts import make_expert
@@ -254,7 +254,10 @@ def test_grasps_on_a_shelf_come_from_its_open_side():
             LyingObject.of(shape, np.append(pose, np.array([1.0, 0.0, 0.0, 0.0])), 1.0),
             options=options,
         )
-        for options in (Options(), Options(inward=(1.0, 0.0), shallower=(0.0, 0.02)))
+        for options in (
+            PinchOptions(),
+            PinchOptions(inward=(1.0, 0.0), shallower=(0.0, 0.02)),
+        )
     ]
     assert found[0].rot[:, 0, 0].min() < -0.25
     assert len(found[1]) and found[1].rot[:, 0, 0].min() > -0.26

@@ -15,6 +15,7 @@ from mjhab.core.errors import UsageError
 from mjhab.core.rotations import mat_from_quat
 from mjhab.data.imports.ms_hab_layout import SCANNED_YAWS
 from mjhab.scenes.builtin.objects import MASSES, SIZES, builtin_objects
+from mjhab.scenes.formats.gltf import MAX_TEXTURE
 from mjhab.scenes.replica_cad.ycb import (
     SCAN,
     Scan,
@@ -23,7 +24,7 @@ from mjhab.scenes.replica_cad.ycb import (
     read_scan,
     read_ycb,
 )
-from mjhab.scenes.shapes.meshes import MAX_TEXTURE, Mesh
+from mjhab.scenes.shapes.meshes import Mesh
 from mjhab.scenes.shapes.simplify import simplify
 from mjhab.scenes.spec import Geom, ObjectType
 from tests.real_data import real_data

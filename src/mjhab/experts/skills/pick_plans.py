@@ -18,7 +18,7 @@ from mjhab.episodes.grasps.candidates import (
     Grasps,
     LyingObject,
     ObjectShape,
-    Options,
+    PinchOptions,
     grasp_candidates,
 )
 from mjhab.experts.arm import motion
@@ -51,7 +51,7 @@ GRASP_CLEARANCES_M = ((0.010, -0.008, 0.0), (0.0, -0.02, 0.010), (-0.004, -0.03,
 """Required clearances [m] of the first, second and third search: between gripper and neighbours; on a shelf between
 hand with wrist and neighbours (the spheres of the wrist are up to 8 mm too large); and the reduction of the arm's
 clearance that applies to the hand."""
-OPTIONS = Options(
+OPTIONS = PinchOptions(
     palm_gap=0.012, floor_gap=0.008, least_clear_m=GRASP_CLEARANCES_M[-1][0]
 )
 # On a shelf there is little room: more directions around the object, a short approach, and boxes nearly as wide as the

@@ -99,7 +99,8 @@ def test_a_check_plays_the_actions_again(
         entry["record"]["success_once"] = True
     claimed = tmp_path / "claimed.json"
     episodes = [
-        runs.Scored(e.row, _won(e.record), e.start, e.actions) for e in scored.episodes
+        runs.ScoredEpisode(e.row, _won(e.record), e.start, e.actions)
+        for e in scored.episodes
     ]
     write_result(claimed, scored.facts, episodes)
     assert len(check(read_result(claimed)).wrong) == 3

@@ -22,7 +22,7 @@ from mjhab.robots.fetch.robot import ROBOT
 from mjhab.tasks.measure import active_entries, measure
 from mjhab.tasks.plan import Subtask, SubtaskKind, TaskPlan, stack_plans
 from mjhab.tasks.progress import start
-from mjhab.tasks.rewards.scoring import RewardOptions
+from mjhab.tasks.scoring import RewardOptions
 from tests.refusals import refused
 from tests.tasks.build import config_of, resting, squeeze
 

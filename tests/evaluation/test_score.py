@@ -309,7 +309,7 @@ def test_the_profile_counts_what_tells_something() -> None:
 
 
 def test_the_command_warns_of_a_policy_that_was_never_trained(
-    result: tuple[Path, Result],
+    result: tuple[Path, ScoreResult],
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:

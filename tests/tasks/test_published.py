@@ -22,6 +22,7 @@ from mjhab.core.errors import UsageError
 from mjhab.tasks.measure import measure
 from mjhab.tasks.progress import start
 from mjhab.tasks.rewards.table import RewardView
+from mjhab.tasks.scoring import DenseReward, RewardOptions
 from tests.refusals import refused
 from tests.tasks.build import CONFIG, REST, plan_of, resting, to_torch
 from tests.tasks.rewards.states import (

@@ -85,9 +85,9 @@ def measure_experts(
 
 def _measure(
     spec: ExpertsSpec,
-    rows: Sequence[Row],
+    rows: Sequence[ExpertRow],
     stopped: Callable[[], bool],
-    watch: Callable[[Measured], AbstractContextManager[Callable[[Row, int], None]]],
+    watch: Callable[[Measured], AbstractContextManager[Callable[[ExpertRow, int], None]]],
 ) -> Measurement:
     measured: Measured = {row: read_row(spec, row) for row in rows}
     errors: dict[ExpertRow, str] = {}
@@ -202,7 +202,7 @@ def _short(assets: str) -> str:
     return Path(assets).name
 
 
-def _csv(results: Sequence[Result], profile: str) -> str:
+def _csv(results: Sequence[RowResult], profile: str) -> str:
     """The table for spreadsheets: rates in percent, one line per row, groups of targets last."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")

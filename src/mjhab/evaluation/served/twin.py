@@ -107,7 +107,7 @@ class TwinResponder:
                     return twin
             env = self._make_env(config)
             env.reset(seed=0)
-            return Twin(env, self._opened.build(env, self._options))
+            return ObservationAdapter(env, self._opened.build(env, self._options))
 
     def give_back(self, config: Mapping[str, Any], twin: ObservationAdapter) -> None:
         """Return a twin to the idle ones, for the next connection."""

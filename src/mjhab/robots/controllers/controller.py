@@ -11,7 +11,7 @@ import numpy as np
 from mjhab.core.arrays import Array, as_like, device_of, empty, namespace, to_numpy, zeros
 from mjhab.core.conventions.changes import nearest_turn, within_half_a_turn
 from mjhab.core.errors import unknown_name, wrong_value
-from mjhab.robots.controllers.arm import Arm, CommandedArm, with_row
+from mjhab.robots.controllers.arm import ArmController, CommandedArm, with_row
 from mjhab.robots.controllers.table import (
     ActionEntry,
     absolute_rows,

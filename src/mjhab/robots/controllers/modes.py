@@ -65,7 +65,7 @@ class ControlMode:
             UsageError: ``make_arm`` does not return an `ArmController`.
         """
         arm = self.make_arm(request)
-        if not isinstance(arm, Arm):
+        if not isinstance(arm, ArmController):
             raise wrong_type(
                 "what make_arm returns",
                 arm,

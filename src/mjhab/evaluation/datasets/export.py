@@ -68,8 +68,8 @@ def export_maniskill(
     >>> import mjhab
     >>> made = mjhab.generate("zero", subtask="close", episodes=1, horizon=5, out="runs/close")
     >>> done = mjhab.export_maniskill("runs/close", "exported/rearrange")
-    >>> [str(file) for file in done.files]
-    ['exported/rearrange/set_table/close/kitchen_counter.h5']
+    >>> print(done.files[0].name)
+    kitchen_counter.h5
 
     Args:
         path: a shard, a folder of shards, or several of them.

@@ -84,7 +84,7 @@ def bench_sim(spec: SimSpec) -> int:
 
 def main(words: Sequence[str] | None = None) -> int:
     """Run the command; returns its exit code."""
-    minima = dict.fromkeys(("worlds", "steps", "rounds"), 1)
+    minima: dict[str, float] = dict.fromkeys(("worlds", "steps", "rounds"), 1)
     return run_command("sim", SimSpec, bench_sim, words, minima)
 
 

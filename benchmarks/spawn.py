@@ -109,7 +109,7 @@ def measure_spawns(spec: SpawnSpec) -> dict[str, Any]:
 
 def main(words: Sequence[str] | None = None) -> int:
     """Run the command; returns its exit code."""
-    minima = dict.fromkeys(("count", "pool", "fresh"), 1)
+    minima: dict[str, float] = dict.fromkeys(("count", "pool", "fresh"), 1)
     return run_command("spawn", SpawnSpec, bench_spawn, words, minima)
 
 

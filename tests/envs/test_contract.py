@@ -412,10 +412,9 @@ def test_a_nan_world_resets_itself_and_the_others_do_not_notice(mode: str):
     assert [physics(env, w) for w in (0, 2)] == [physics(calm, w) for w in (0, 2)]
     assert np.isfinite(obs["state"]).all()
     if mode != "disabled":
-        assert (
-            env.episodes_now[1].index == INDEX_STRIDE + 1
-            and not env.sim.taint()[1] & NAN_BIT
-        )
+        episode = env.episodes_now[1]
+        assert episode is not None and episode.index == INDEX_STRIDE + 1
+        assert not env.sim.taint()[1] & NAN_BIT
 
 
 def test_an_env_whose_state_was_made_infinite_from_outside_goes_on():
@@ -607,7 +606,7 @@ def test_a_spawn_set_gives_the_starts_it_was_made_with(tmp_path: Path):
     np.testing.assert_array_equal(a["state"], b["state"])
     assert [spec["index"] for spec in info["episode_spec"]] == [0, 1, 2]
     used.reset(seed=4)
-    homes = {episode.home for episode in used.episodes_now}
+    homes = {episode.home for episode in used.episodes_now if episode is not None}
     assert homes <= {str(name) for name in made.columns["home"]}
     with pytest.raises(UsageError, match="place"):
         build(subtask="pick", spawns=str(made.path))

@@ -77,12 +77,21 @@ class Field:
 
 def _fields(table: str) -> tuple[Field, ...]:
     """Read a table: since, path ("?": optional), rows, shape, type, unit, meaning."""
-    rows = [
+    cells = [
         [cell.strip() for cell in row.split("|")] for row in table.strip().splitlines()
     ]
     return tuple(
-        Field(path.rstrip("?"), *told, path.endswith("?"), int(since))
-        for since, path, *told in rows
+        Field(
+            path.rstrip("?"),
+            rows,
+            shape,
+            dtype,
+            unit,
+            meaning,
+            path.endswith("?"),
+            int(since),
+        )
+        for since, path, rows, shape, dtype, unit, meaning in cells
     )
 
 

@@ -103,7 +103,7 @@ def measure_ppo(spec: LearnerSpec) -> dict[str, Any]:
     rows: list[tuple[float, float, float, float]] = []
     for number in range(spec.rounds + 1):
         begun = worlds.seconds
-        collecting, (rollout, _) = _timed(learner.collect)
+        collecting, rollout = _timed(learner.collect)
         within = worlds.seconds - begun
         updating, _ = _timed(lambda: learner.update(rollout, 0.0))  # noqa: B023 (called at once)
         shape = (steps, config.worlds, len(layout.actions))

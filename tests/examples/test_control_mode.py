@@ -82,7 +82,7 @@ def test_a_mode_that_cannot_work_is_told() -> None:
     mjhab.register_control_mode(mjhab.ControlMode("x", lambda request: 3))  # pyright: ignore
     try:
         with pytest.raises(
-            UsageError, match=r"'x': make_arm must return a .*Arm, got int"
+            UsageError, match=r"'x': what make_arm returns must be a .*Arm, got 3"
         ):
             make_controller("x")
     finally:

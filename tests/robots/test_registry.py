@@ -48,7 +48,7 @@ JOINT_NUMBERS = re.compile(
 """A number where a column of joint positions belongs."""
 PUBLISHED = (
     "data/imports/ms_hab_layout.py",  # names of the actions in MS-HAB's files
-    "data/store/older.py",  # names of the joints in shards that do not name theirs
+    "data/store/older/schemas.py",  # names of the joints in shards that do not name theirs
     "paper/ms_hab/network.py",  # names of the cameras in MS-HAB's checkpoints
 )
 """Files with strings of published data: they stay when the robot's own names change."""

@@ -25,7 +25,7 @@ from mjhab.experts.base.navigation import Grid
 
 BASE_CLEARANCE_M = 0.29
 """Distance between the base's centre and obstacles that the base needs; its greatest radius is 0.285 m. It is
-`Footprint.wide` of Fetch."""
+`Footprint.wide` of the default robot."""
 ARM_CLEARANCE_M = 0.02
 """Clearance that the arm needs: it swings a little, and cells are coarse."""
 SLICES_M = np.arange(0.7, 1.75, 0.1)

@@ -32,7 +32,7 @@ DRIVE_ERROR_M = 0.03
 """Additional clearance while the base drives, because it deviates from the planned route. Routes are driven within 20
 mm and 0.08 rad of the prediction (tests/experts/planning/test_carrying.py)."""
 MIN_MAP_CLEARANCE_M = 0.27
-"""Least clearance of the map cells that a route may use. It is `Footprint.narrow` of Fetch."""
+"""Least clearance of the map cells that a route may use. It is `Footprint.narrow` of the default robot."""
 LOW_HEIGHT_M = 0.3
 """Obstacles below this height can touch the base only; the map already keeps the base clear of them."""
 BLOCKED_FORCE_N = 60.0

@@ -31,14 +31,14 @@ ALONG_BAR_M = 0.04
 RETRACT_CLEARANCE_M = 0.005
 """Least clearance of a route on which the arm moves to its rest pose."""
 RETREAT_CLEARANCE_M = 0.29
-"""Least clearance of the base on the floor when it drives backwards. It is `Footprint.wide` of Fetch."""
+"""Least clearance of the base on the floor when it drives backwards. It is `Footprint.wide` of the default robot."""
 ROUTES_TRIED = 5
 """Number of base placements for which a route is planned."""
 MAX_ROUTES_TRIED = 12
 """The same while no route without a collision has been found."""
 ARM_REACH_M = 1.3
-"""Distance from the base beyond which the arm cannot touch anything. The tcp of Fetch's stretched arm is 1.08 m from
-the middle of the base (`Robot.reach`)."""
+"""Distance from the base beyond which the arm cannot touch anything. The tcp of the default robot's stretched arm is
+1.08 m from the middle of the base (`Robot.reach`)."""
 MAX_ROUTE_DEFICIT_M = 0.012
 """Maximum clearance deficit along a route: `plan_route` allows for errors of the drive."""
 AMBIGUOUS_TURN_RAD = 2.8

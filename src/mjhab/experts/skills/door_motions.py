@@ -41,9 +41,9 @@ HALF_OPEN_SHARE = 0.95
 OPEN_TO_SHARE = 0.775
 """Share of the range to which a door is pulled; 0.75 counts as open."""
 TIP_M = 0.031
-"""Distance of the fingertips before the tcp. Geometry of Fetch's gripper."""
+"""Distance of the fingertips before the tcp. Geometry of the default robot's gripper."""
 FINGER_SIDE_M = 0.0144
-"""Half-width of the closed fingers. Geometry of Fetch's gripper."""
+"""Half-width of the closed fingers. Geometry of the default robot's gripper."""
 PUSH_YAWS_RAD = ((0.25, 0.4), (0.5, 0.4), (0.8, 0.4), (1.1, 0.4))
 """Pairs of yaws of the pushing hand, at the open and at the closed door; 0 points straight at the furniture. The first
 pair is for half open doors only: behind a door that is open by 2.2 rad, a hand at yaw 0.6 is parallel to it, and at

@@ -38,7 +38,7 @@ from mjhab.experts.planning.base_poses import (
     base_poses,
     overreach,
 )
-from mjhab.experts.planning.workplace import ReachQuery, Scene, surroundings
+from mjhab.experts.planning.workplace import ReachQuery, ReachScene, surroundings
 from mjhab.experts.skills.pick_plans import LOW_SHELF_OPTIONS, SHELF_OPTIONS
 from mjhab.experts.skills.place import DROP_HEIGHTS_M, place
 from mjhab.experts.skills.place_goals import Release, hand_goals
@@ -228,7 +228,7 @@ def test_bases_are_only_where_something_can_be_reached():
     view = place_env(1).view(0)
     obj, goal = goal_of(view)
     near, _ = surroundings(view, obj, goal)
-    scene = Scene(
+    scene = ReachScene(
         near,
         near.take(np.zeros(0, np.int64)),
         float(goal[2]),

@@ -20,7 +20,7 @@ from mjhab.experts.base.route import Route
 from mjhab.experts.planning import sampled
 from mjhab.experts.planning.arm_paths import Free, arm_path
 from mjhab.experts.planning.sampled import clearer, plan_around
-from mjhab.experts.planning.workplace import BasePlacement, Blocked, HandGoals, Scene
+from mjhab.experts.planning.workplace import BasePlacement, Blocked, HandGoals, ReachScene
 from mjhab.robots.fetch.robot import ROBOT
 
 PAN = 5
@@ -135,7 +135,7 @@ def test_only_where_straight_ways_touch_and_time_is_left(monkeypatch: pytest.Mon
     _, arm, posts = blocked_drive(monkeypatch)
     one = np.zeros((1, 3))
     goals = HandGoals(one, np.eye(3)[None], one, np.zeros(1), np.zeros(1))
-    scene = Scene(posts, posts.take(np.zeros(0, int)), 0.0, ROBOT)
+    scene = ReachScene(posts, posts.take(np.zeros(0, int)), 0.0, ROBOT)
     blocked = [Blocked(goals, np.zeros(1, int), arm[None], arm[None], scene, 0.0)]
     view = view_of(LEFT)
 

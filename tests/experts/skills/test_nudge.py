@@ -13,7 +13,7 @@ from mjhab.core.rotations import mat_from_quat
 from mjhab.episodes.grasps.candidates import ObjectShape
 from mjhab.experts import make_expert
 from mjhab.experts.arm import motion
-from mjhab.experts.planning.workplace import Scene
+from mjhab.experts.planning.workplace import ReachScene
 from mjhab.experts.skills import pick_plans
 from mjhab.experts.skills.nudge_plans import (
     Graspable,
@@ -30,10 +30,10 @@ ACROSS = np.array([0.0, 0.0, 0.107, 1.0, 0.0, 0.0, 0.0])
 """Its narrow axis points into the shelf."""
 
 
-def shelf(*others: tuple[float, float, float]) -> Scene:
+def shelf(*others: tuple[float, float, float]) -> ReachScene:
     """A bare shelf with cubes of 6 cm at some places."""
     boxes = Boxes.of(np.array(others).reshape(-1, 3), np.full((len(others), 3), 0.03))
-    return Scene(boxes, Boxes.of(np.zeros((0, 3)), np.zeros((0, 3))), 0.0, ROBOT)
+    return ReachScene(boxes, Boxes.of(np.zeros((0, 3)), np.zeros((0, 3))), 0.0, ROBOT)
 
 
 def turned_by(lower: float) -> Graspable:

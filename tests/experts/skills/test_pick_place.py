@@ -36,7 +36,7 @@ from mjhab.experts.base.route import (
 )
 from mjhab.experts.planning.base_poses import exit_clearance
 from mjhab.experts.planning.carry import inside_depth
-from mjhab.experts.planning.workplace import Scene, surroundings
+from mjhab.experts.planning.workplace import ReachScene, surroundings
 from mjhab.experts.skills.pick_plans import (
     FREE_OFFSET_M,
     balanced,
@@ -241,7 +241,9 @@ def test_way_out_of_a_shelf_keeps_the_object_off_the_walls():
     target = Boxes(np.array([[0.5, 0.0, 1.05]]), half[None], eye)
     wall = Boxes(np.array([[0.3, 0.12, 1.1]]), np.array([[0.4, 0.01, 0.5]]), eye)
     bases = np.array([[-0.3, 0.0, 0.0], [-0.2, 0.2, -0.35], [-0.2, -0.2, 0.35]])
-    straight, towards, away = exit_clearance(bases, Scene(wall, target, 1.0, ROBOT), 0.42)
+    straight, towards, away = exit_clearance(
+        bases, ReachScene(wall, target, 1.0, ROBOT), 0.42
+    )
     assert straight == pytest.approx(0.07, abs=0.005)
     assert towards < 0.0 < away
 

@@ -65,7 +65,7 @@ def fitting(name: str, hint: Any, value: Any, where: str = "") -> Any:
     Raises:
         FieldError: it is of another type, or a text that is too long or holds NUL; the message names the entry.
     """
-    return _Reader(where, plain=False).read(name, hint, value)
+    return _ValueReader(where, plain=False).read(name, hint, value)
 
 
 def read_record(kind: Any, value: Any, name: str, where: object = "") -> Any:
@@ -80,7 +80,7 @@ def read_record(kind: Any, value: Any, name: str, where: object = "") -> Any:
     Raises:
         FieldError: the value does not fit, or a field is unknown or missing; the message names it: "home.floor.size".
     """
-    return _Reader(str(where), plain=True).read(name, kind, value)
+    return _ValueReader(str(where), plain=True).read(name, kind, value)
 
 
 _UNFIT = object()
@@ -111,7 +111,7 @@ def _in_words(kind: Any) -> str:
 
 
 @dataclasses.dataclass(frozen=True)
-class _Reader:
+class _ValueReader:
     """Turns values into what annotations state.
 
     where: the file or object that the values are of, for messages.

@@ -27,7 +27,7 @@ from mjhab.core.files.reading import read_json_object
 from mjhab.core.names import below
 from mjhab.data.export.conventions import CONVENTIONS
 from mjhab.data.export.request import ExportRequest
-from mjhab.data.export.staging import Target, whole_folder
+from mjhab.data.export.staging import ExportTarget, whole_folder
 from mjhab.data.imports.ms_hab_layout import (
     SOURCE_TYPE,
     TRAJECTORY,
@@ -90,7 +90,7 @@ def write_maniskill(
     files: dict[Path, list[Place]] = defaultdict(list)
     for member, record in zip(found.matched, found.records, strict=True):
         files[place_of(record)].append(member)
-    target = Target(request.out, _foreign, request.overwrite, request.resume)
+    target = ExportTarget(request.out, _foreign, request.overwrite, request.resume)
     until = until or Until()
     job = {"format": "maniskill", "episodes": found.fingerprint, "until": until.text}
     frames = without = 0

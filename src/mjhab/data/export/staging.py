@@ -34,7 +34,7 @@ class StagingDir:
 
 
 @dataclass(frozen=True)
-class Target:
+class ExportTarget:
     """The folder to write.
 
     out: its path. foreign: tells why a folder is not an export of this kind, "" if it is one. overwrite: replace an
@@ -72,7 +72,7 @@ class Target:
 
 
 @contextmanager
-def whole_folder(target: Target, job: Mapping[str, Any]) -> Iterator[StagingDir]:
+def whole_folder(target: ExportTarget, job: Mapping[str, Any]) -> Iterator[StagingDir]:
     """Context manager that yields a temporary folder to fill; on success it is renamed to ``target.out``.
 
     If the process is interrupted or killed, or the disk is full, the files stay for a later call with ``resume``.
@@ -115,7 +115,7 @@ def _stopped(out: Path, error: Exception) -> StorageError:
     )
 
 
-def _begin(target: Target, job: dict[str, Any]) -> StagingDir:
+def _begin(target: ExportTarget, job: dict[str, Any]) -> StagingDir:
     """The folder to fill: the unfinished one, or a new one."""
     part = target.part
     if not (target.begun and target.resume):
@@ -128,7 +128,7 @@ def _begin(target: Target, job: dict[str, Any]) -> StagingDir:
     return StagingDir(part / WHOLE, part / WORK)
 
 
-def _publish(target: Target) -> None:
+def _publish(target: ExportTarget) -> None:
     if target.out.exists():
         os.replace(target.out, target.old)
     os.replace(target.part / WHOLE, target.out)
@@ -136,7 +136,7 @@ def _publish(target: Target) -> None:
         shutil.rmtree(left, ignore_errors=True)
 
 
-def _check(target: Target, job: dict[str, Any]) -> None:
+def _check(target: ExportTarget, job: dict[str, Any]) -> None:
     out = target.out
     if out.exists():
         if not out.is_dir():

@@ -189,7 +189,7 @@ def turns(xy: np.ndarray, start: float, turn: float) -> list[PathSegment]:
     return [PathSegment(np.stack([xy, xy]), 1, yaw) for yaw in yaws]
 
 
-class Track(NamedTuple):
+class PackedPath(NamedTuple):
     """Segments for the kernels.
 
     Attributes:
@@ -213,7 +213,7 @@ class Track(NamedTuple):
     lookahead: float
 
 
-def _track(segments: Sequence[PathSegment], lookahead: float) -> Track:
+def _track(segments: Sequence[PathSegment], lookahead: float) -> PackedPath:
     points = [np.asarray(segment.points, dtype=np.float64) for segment in segments]
     along = []
     ending = np.zeros((len(points), 2))
@@ -226,7 +226,7 @@ def _track(segments: Sequence[PathSegment], lookahead: float) -> Track:
         row /= max(float(np.linalg.norm(row)), 1e-9)
         along.append(arc)
     length = np.array([arc[-1] for arc in along])
-    return Track(
+    return PackedPath(
         np.concatenate([*points, np.zeros((0, 2))]),
         np.concatenate([*along, np.zeros(0)]),
         np.cumsum([0, *map(len, points)]).astype(np.int64),
@@ -238,7 +238,7 @@ def _track(segments: Sequence[PathSegment], lookahead: float) -> Track:
     )
 
 
-def _fresh_state(track: Track) -> np.ndarray:
+def _fresh_state(track: PackedPath) -> np.ndarray:
     """State (10,) of a follower before its first step."""
     state = np.zeros(10)
     _begin(track, state, 0)
@@ -246,7 +246,7 @@ def _fresh_state(track: Track) -> np.ndarray:
 
 
 @kernel
-def _begin(track: Track, state: np.ndarray, s: int) -> None:
+def _begin(track: PackedPath, state: np.ndarray, s: int) -> None:
     """Write into ``state`` (10,) that segment ``s`` begins."""
     state[_ARC] = 0.0
     state[_AT_END] = 0.0
@@ -269,7 +269,7 @@ def _clipped(value: float, low: float, high: float) -> float:
 
 
 @inline
-def _point(track: Track, s: int, at: float) -> tuple[float, float]:
+def _point(track: PackedPath, s: int, at: float) -> tuple[float, float]:
     """Point at arc length ``at``; beyond the end on the straight extension, so that the heading settles before it."""
     last = track.first[s + 1] - 1
     over = at - track.along[last]
@@ -285,7 +285,7 @@ def _point(track: Track, s: int, at: float) -> tuple[float, float]:
 
 
 @inline
-def _progress(track: Track, s: int, at: float, x: float, y: float) -> float:
+def _progress(track: PackedPath, s: int, at: float, x: float, y: float) -> float:
     """Arc length of the point of segment ``s`` nearest to (x, y), searched from arc length ``at`` forwards."""
     length = track.along[track.first[s + 1] - 1]
     reach = min(at + PROGRESS_REACH_M, length) + 1e-9 - at
@@ -303,7 +303,7 @@ def _progress(track: Track, s: int, at: float, x: float, y: float) -> float:
 
 @inline
 def _steer(
-    track: Track, speed: float, state: np.ndarray, x: float, y: float, yaw: float
+    track: PackedPath, speed: float, state: np.ndarray, x: float, y: float, yaw: float
 ) -> tuple[float, float, bool]:
     """Forward speed [m/s] up to ``speed``, yaw rate [rad/s] and arrival in the present segment; updates ``state``."""
     s = int(state[_SEGMENT])
@@ -351,7 +351,7 @@ def _steer(
 
 @kernel
 def _command(
-    track: Track,
+    track: PackedPath,
     limits: CommandLimits,
     state: np.ndarray,
     x: float,
@@ -383,7 +383,7 @@ def _command(
 
 @kernel
 def _drive(
-    track: Track, limits: CommandLimits, state: np.ndarray, pose: np.ndarray
+    track: PackedPath, limits: CommandLimits, state: np.ndarray, pose: np.ndarray
 ) -> np.ndarray:
     """Base poses (T, 3) of `simulate`; the first is ``pose`` (3,)."""
     steps = MAX_SIMULATED_STEPS * len(track.yaw)

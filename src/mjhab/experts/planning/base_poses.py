@@ -15,7 +15,7 @@ from mjhab.envs.parts.world_view import WorldView
 from mjhab.experts.arm import motion
 from mjhab.experts.base.ajar import planner
 from mjhab.experts.base.route import drive_steps
-from mjhab.experts.planning.workplace import HandGoals, ReachQuery, Scene
+from mjhab.experts.planning.workplace import HandGoals, ReachQuery, ReachScene
 from mjhab.robots.robot import ArmReach, Footprint
 
 OUT_CLEARANCE_M = 0.03
@@ -28,7 +28,7 @@ _BASES = 24
 """Greatest number of base poses that are paired with hand poses."""
 
 
-def exit_clearance(bases: np.ndarray, scene: Scene, drive_in: float) -> np.ndarray:
+def exit_clearance(bases: np.ndarray, scene: ReachScene, drive_in: float) -> np.ndarray:
     """Clearance (B,) [m] of the object, lifted by 2.5 cm, while the base drives straight backwards with it.
 
     Args:

@@ -31,7 +31,7 @@ from mjhab.experts.planning.workplace import (
     Blocked,
     HandGoals,
     ReachQuery,
-    Scene,
+    ReachScene,
 )
 from mjhab.robots.parts import Gripper
 from mjhab.robots.robot import Robot
@@ -93,7 +93,7 @@ def placements(
     return found
 
 
-def clear_ones(q: np.ndarray, scene: Scene, clearance: float) -> np.ndarray:
+def clear_ones(q: np.ndarray, scene: ReachScene, clearance: float) -> np.ndarray:
     """Indices of at most `_KEPT` of the configurations ``q`` (N, J), in order, that keep a ``clearance`` [m].
 
     Arm and held object are checked. The hand is not, see `hand_clearance`.

@@ -54,12 +54,12 @@ class HandGoals:
 
 
 @dataclass(frozen=True, eq=False)
-class Scene:
+class ReachScene:
     """Obstacles and robot around a work place.
 
     near: boxes of everything but the object. target: boxes of the object, empty while it is held. support_z: height of
     the surface that the object lies on or goes to [m]. body: the robot. held: centres and radii [m] of spheres that
-    cover the held object, in the frame of the hand. care: limits of the motion for a held object.
+    cover the held object, in the frame of the hand. limits: of the motion of the base for a held object.
     """
 
     near: Boxes
@@ -116,7 +116,7 @@ class Blocked:
     goal: np.ndarray
     pre: np.ndarray
     at: np.ndarray
-    scene: Scene
+    scene: ReachScene
     drive_in: float
 
 
@@ -140,7 +140,7 @@ class ReachQuery:
 
     point: np.ndarray
     goals: HandGoals
-    scene: Scene
+    scene: ReachScene
     drive_in: float = 0.0
     avoid: np.ndarray | None = None
     clearance: float = CLEARANCES_M[0]

@@ -26,7 +26,7 @@ from mjhab.experts.base.ajar import planner
 from mjhab.experts.base.follower import Follower, PathSegment
 from mjhab.experts.base.limits import UNLIMITED, CommandLimits
 from mjhab.experts.planning.reach import clear_ones
-from mjhab.experts.planning.workplace import Scene
+from mjhab.experts.planning.workplace import ReachScene
 
 Drive = tuple[float, float]
 """Forward speed [m/s] and yaw rate [rad/s] of the base."""
@@ -116,7 +116,7 @@ class Hands:
 
 
 def find_placement(
-    view: WorldView, scene: Scene, point: np.ndarray, hands: Hands
+    view: WorldView, scene: ReachScene, point: np.ndarray, hands: Hands
 ) -> RuledPlacement | None:
     """Find the nearest base placement from which one of the hand poses is reached.
 
@@ -159,7 +159,7 @@ def _bases(view: WorldView, point: np.ndarray) -> Iterator[np.ndarray]:
 
 
 def _nearest_to_rest(
-    view: WorldView, scene: Scene, base: np.ndarray, hands: Hands
+    view: WorldView, scene: ReachScene, base: np.ndarray, hands: Hands
 ) -> tuple[int, np.ndarray] | None:
     """Find the collision-free hand pose at base pose ``base`` (3,) that is nearest to the preferred orientation.
 

@@ -27,7 +27,7 @@ from mjhab.experts.planning.workplace import (
     BasePlacement,
     HandGoals,
     ReachQuery,
-    Scene,
+    ReachScene,
 )
 from mjhab.robots.parts import Gripper
 
@@ -119,7 +119,7 @@ class _Push:
 
 
 def plan_nudge(
-    view: WorldView, obj: str, scene: Scene, inward: np.ndarray, graspable: Graspable
+    view: WorldView, obj: str, scene: ReachScene, inward: np.ndarray, graspable: Graspable
 ) -> Nudge | None:
     """The fastest push after which a box on a shelf can be grasped; None if no push is found.
 
@@ -189,7 +189,7 @@ def level_axes(rot: np.ndarray) -> list[int]:
 def _pushes(
     pose: np.ndarray,
     shape: ObjectShape,
-    scene: Scene,
+    scene: ReachScene,
     inward: np.ndarray,
     graspable: Graspable,
 ) -> list[_Push]:
@@ -223,7 +223,7 @@ def _pushes(
     return sorted(found, key=lambda push: (push.turn, -push.grasps))
 
 
-def _touches(shape: ObjectShape, pose: np.ndarray, scene: Scene) -> bool:
+def _touches(shape: ObjectShape, pose: np.ndarray, scene: ReachScene) -> bool:
     """Whether a box at a pose would be where something else is."""
     boxes = scene.beside.near(pose[:3], 0.5)
     half = pose[2] - scene.support_z

@@ -34,7 +34,7 @@ from mjhab.experts.planning.workplace import (
     Blocked,
     HandGoals,
     ReachQuery,
-    Scene,
+    ReachScene,
     surroundings,
 )
 from mjhab.experts.skills.nudge_plans import in_steps
@@ -153,7 +153,7 @@ def plan_pick(
 def shelf_grasps(
     shape: ObjectShape,
     pose: np.ndarray,
-    scene: Scene,
+    scene: ReachScene,
     inward: tuple[float, float],
     around: Boxes,
     clear: float,
@@ -248,13 +248,13 @@ def balanced(grasps: Grasps, centre: np.ndarray) -> Grasps:
     return replace(grasps, score=score).take(np.argsort(-score, kind="stable"))
 
 
-def scene_of(view: WorldView, obj: str) -> Scene:
+def scene_of(view: WorldView, obj: str) -> ReachScene:
     """Obstacles around an object that is not held."""
     pose = view.object_pose(obj)
     shape = view.object_shape(obj)
     near, target = surroundings(view, obj, pose[:3])
     support = float(pose[2]) - height_below(shape, mat_from_quat(pose[3:]))
-    return Scene(near, target, support, view.robot)
+    return ReachScene(near, target, support, view.robot)
 
 
 def direction_to(view: WorldView, pose: np.ndarray) -> tuple[float, float]:

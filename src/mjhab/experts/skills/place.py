@@ -38,7 +38,7 @@ from mjhab.experts.planning.workplace import (
     Blocked,
     HandGoals,
     ReachQuery,
-    Scene,
+    ReachScene,
     surroundings,
 )
 from mjhab.experts.skills.pick import pick_up
@@ -224,7 +224,7 @@ def plan_place(
     """
     near, _ = surroundings(view, obj, goal)
     support = float(goal[2]) - view.object_type(obj).half[2]
-    scene = Scene(
+    scene = ReachScene(
         near,
         near.take(np.zeros(0, np.int64)),
         support,

@@ -14,7 +14,7 @@ from mjhab.experts.arm.motion import Motion
 from mjhab.experts.base.limits import limits_for
 from mjhab.experts.phases import phase
 from mjhab.experts.planning.carry import inside_depth
-from mjhab.experts.planning.workplace import Scene, surroundings
+from mjhab.experts.planning.workplace import ReachScene, surroundings
 from mjhab.experts.skills import place as search
 from mjhab.experts.skills.by_rule import (
     STANDOFF_M,
@@ -104,7 +104,7 @@ def plan(
     goals = clear_hand_goals(view, obj, goal, near, Release(shelf=False, any_side=False))
     support = float(goal[2]) - view.object_type(obj).half[2]
     nothing = near.take(np.zeros(0, np.int64))
-    scene = Scene(near, nothing, support, view.robot, held_spheres(view, obj))
+    scene = ReachScene(near, nothing, support, view.robot, held_spheres(view, obj))
     away = goals.pos - AWAY_M * goals.rot[:, :, 0]
     above = goals.pos - STANDOFF_M * DOWN
     hands = Hands(goals.pos, goals.rot, above, away, -SCORE_PRICE * goals.score)

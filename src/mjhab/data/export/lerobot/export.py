@@ -45,7 +45,7 @@ from mjhab.data.export.lerobot.stats import (
     vector_stats,
 )
 from mjhab.data.export.request import ExportRequest
-from mjhab.data.export.staging import Target, whole_folder
+from mjhab.data.export.staging import ExportTarget, whole_folder
 from mjhab.data.select.describing import (
     instructions_of,
     navigates_by_teleport,
@@ -115,7 +115,7 @@ def write_lerobot(
         **films.settings,
         "episodes": found.fingerprint,
     }
-    target = Target(request.out, _foreign, request.overwrite, request.resume)
+    target = ExportTarget(request.out, _foreign, request.overwrite, request.resume)
     with whole_folder(target, job) as staging:
         parts = EpisodeParts(staging.work, FPS, films)
         export = _Export(

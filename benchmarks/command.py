@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
 from typing import TypeVar
 
 import tyro
 
 from mjhab.cli.main import exit_code_of
-from mjhab.cli.options.limits import check_limits
-from mjhab.cli.output import at_least
+from mjhab.core.files.outputs import check_output
+from mjhab.core.typed.bounds import SEED, Bound, check_bound
 
 Spec = TypeVar("Spec")
 CONFIG = (tyro.conf.OmitArgPrefixes, tyro.conf.FlagCreatePairsOff)
@@ -39,12 +40,12 @@ def run_command(
         spec = tyro.cli(
             spec_type, prog=f"python -m benchmarks.{name}", args=words, config=CONFIG
         )
-        check_limits(spec)
-        for option, smallest in (minima or {}).items():
-            value = getattr(spec, option)
-            for number in value if isinstance(value, tuple) else (value,):
-                if number is not None:
-                    at_least(option.replace("_", "-"), number, smallest)
+        for option, value in vars(spec).items():
+            told = f"--{option.replace('_', '-')}"
+            if isinstance(value, Path):
+                check_output(value, told)
+            least = (minima or {}).get(option, 0)
+            check_bound(told, value, SEED if option == "seed" else Bound(least))
         return work(spec)
 
     return exit_code_of(parsed)

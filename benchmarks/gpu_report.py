@@ -53,7 +53,7 @@ def machine() -> dict[str, Any]:
 
 
 def memory_results(has_gpu: bool) -> dict[str, Any]:
-    """Estimates of `mjhab doctor --estimate`."""
+    """Estimates of `mjhab estimate`."""
     return {
         "estimates": [
             {
@@ -69,11 +69,13 @@ def memory_results(has_gpu: bool) -> dict[str, Any]:
 
 def interact_results(has_gpu: bool) -> dict[str, Any]:
     """The Interact benchmark on both backends; a number of worlds that does not fit gives its error."""
-    cpu = InteractSpec(backend="cpu", seeds=3)
-    warp = InteractSpec(backend="warp")
+    cpu = InteractSpec.of(backend="cpu", seeds=3)
+    warp = InteractSpec.of(backend="warp")
     counts = GPU_WORLDS if has_gpu else (2,)
     if not has_gpu:
-        warp = dataclasses.replace(warp, device="cpu", seeds=2, steps=40)
+        warp = dataclasses.replace(
+            warp, env={**warp.env, "device": "cpu"}, seeds=2, steps=40
+        )
     plans = [
         dataclasses.replace(base, worlds=(count,), no_render=bare)
         for base, several in ((warp, counts), (cpu, CPU_WORLDS))
@@ -89,28 +91,35 @@ def interact_results(has_gpu: bool) -> dict[str, Any]:
 
 
 def _words(plan: InteractSpec) -> str:
-    return f"interact {plan.backend}, {plan.worlds[0]} worlds, {'no cameras' if plan.no_render else 'RGB-D'}"
+    return f"interact {plan.asked.backend}, {plan.worlds[0]} worlds, {'no cameras' if plan.no_render else 'RGB-D'}"
 
 
 def env_results(has_gpu: bool) -> dict[str, Any]:
     """TidyHouse with 30 objects, depth, dense reward: PickSubtaskTrain on both backends, on a GPU also the chain."""
-    base = EnvBenchSpec(task="tidy_house", obs="depth", reward="dense")
-    warp = dataclasses.replace(base, backend="warp")
+    base = EnvBenchSpec.of(task="tidy_house", obs="depth", reward="dense")
+    warp = dataclasses.replace(base, env={**base.env, "backend": "warp"})
     if has_gpu:
-        chain = dataclasses.replace(warp, env="mjhab/TidyHouse-v1")
+        chain = dataclasses.replace(warp, id="mjhab/TidyHouse-v1")
         plans = [dataclasses.replace(warp, worlds=(count,)) for count in ENV_WORLDS]
         plans += [dataclasses.replace(chain, worlds=(count,)) for count in CHAIN_WORLDS]
     else:
-        plans = [dataclasses.replace(warp, worlds=(2,), device="cpu", steps=10, rounds=2)]
+        small = {**warp.env, "device": "cpu"}
+        plans = [dataclasses.replace(warp, worlds=(2,), env=small, steps=10, rounds=2)]
     plans.append(dataclasses.replace(base, rounds=3))
     points = [
         attempt(
             lambda plan=plan: bench_env.measure(plan)["points"][0],
-            f"{plan.env.removeprefix('mjhab/')} {plan.backend}, {plan.worlds[0]} worlds",
+            f"{plan.id.removeprefix('mjhab/')} {plan.asked.backend}, {plan.worlds[0]} worlds",
         )
         for plan in plans
     ]
-    return {"task": base.task, "obs": base.obs, "reward": base.reward, "points": points}
+    asked = base.asked
+    return {
+        "task": asked.task,
+        "obs": asked.obs_mode,
+        "reward": asked.reward_mode,
+        "points": points,
+    }
 
 
 def sleep_results(has_gpu: bool) -> dict[str, Any]:

@@ -12,8 +12,8 @@ import numpy as np
 from scipy.stats import rankdata
 
 from benchmarks.command import run_command
+from benchmarks.profile_choice import ProfileChoice, profile_options
 from mjhab.cli.output import print_json, print_table
-from mjhab.config.profile_choice import ProfileChoice, profile_options
 from mjhab.core.errors import unknown_name
 from mjhab.core.files.cache import write_atomic
 from mjhab.core.files.outputs import check_folder

@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 
 from benchmarks.command import run_command
+from benchmarks.profile_choice import ProfileChoice, profile_options
 from mjhab.cli.output import print_json, print_table
-from mjhab.config.profile_choice import ProfileChoice, profile_options
 from mjhab.core.errors import UsageError
 from mjhab.core.files.cache import write_atomic
 from mjhab.core.files.outputs import check_folder

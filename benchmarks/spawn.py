@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from benchmarks.command import run_command
+from benchmarks.profile_choice import ProfileChoice, resolved_profile
 from mjhab.cli.output import print_json, print_table
-from mjhab.config.profile_choice import ProfileChoice, resolved_profile
 from mjhab.core.machine import cores
 from mjhab.robots.registry import DEFAULT_ROBOT
 

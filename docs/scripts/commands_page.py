@@ -8,7 +8,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from mjhab.cli.commands import COMMANDS, Command, load
+from mjhab.cli.commands import COMMANDS, Command
 from mjhab.cli.parsing import Option, options_of
 from mjhab.core.typed.flags import summary_of
 
@@ -25,7 +25,7 @@ defaults, without running it.
 def page() -> str:
     """The text of the page."""
     parts = [HEAD, _overview()]
-    parts += [_section(command) for command in COMMANDS if command.spec]
+    parts += [_section(command) for command in COMMANDS]
     return "\n".join(parts)
 
 
@@ -37,12 +37,13 @@ def _overview() -> str:
 
 
 def _section(command: Command) -> str:
-    spec = load(command.options)
-    rows = ["| option | default | meaning |", "|---|---|---|"]
-    rows += [
+    spec = command.spec_type
+    rows = [
         f"| `{_flag(option)}` | {_cell(option.default_text)} | {_cell(option.help)} |"
         for option in options_of(spec)
     ]
+    if rows:
+        rows = ["| option | default | meaning |", "|---|---|---|", *rows]
     return f"## mjhab {command.name}\n\n{summary_of(spec)}\n\n" + "\n".join(rows) + "\n"
 
 
@@ -50,6 +51,8 @@ def _flag(option: Option) -> str:
     name = option.name.replace("_", "-")
     if not option.takes_value and not option.is_switch:
         name = f"no-{name}"
+    if option.keyed is not None:
+        name = f"{name}.{option.keyed.key}"
     return f"{name.upper()} ..." if option.flag.positional else f"--{name}"
 
 

@@ -155,7 +155,7 @@ def test_homes_render_writes_the_picture(
         (("homes", "render", "builtin_m0_00", "--out", "x.jpg"), ("must end with .png",)),
         (
             ("homes", "render", "builtin_m0_00", "--width", "0"),
-            ("--width must be at least 16",),
+            ("width must be at least 16",),
         ),
         (("homes", "list", "--assets", "bulitin"), ("asset pack", "builtin")),
         (("homes", "list", "--assets", "no/such/folder"), ("no/such/folder",)),

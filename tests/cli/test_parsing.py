@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from pathlib import Path
 
@@ -14,27 +15,24 @@ from mjhab.config.env import EnvConfig
 from mjhab.core.typed.flags import field_docs
 from mjhab.evaluation.specs import EvalSpec, GenerateSpec
 
-SPECS = [command for command in commands.COMMANDS if command.spec]
 
-
-@pytest.mark.parametrize("command", SPECS, ids=lambda command: command.name)
+@pytest.mark.parametrize("command", commands.COMMANDS, ids=lambda command: command.name)
 def test_every_option_has_a_docstring(command: commands.Command) -> None:
-    options = list(options_of(commands.load(command.options)))
+    options = list(options_of(command.spec_type))
     assert [option.name for option in options if not option.help] == []
     assert len({option.name for option in options}) == len(options)
 
 
 @pytest.mark.parametrize("owner", [EnvConfig, EvalSpec, GenerateSpec])
 def test_every_field_has_a_docstring(owner: type) -> None:
-    assert [
-        name for name in owner.__dataclass_fields__ if name not in field_docs(owner)
-    ] == []
+    names = [field.name for field in dataclasses.fields(owner)]
+    assert [name for name in names if name not in field_docs(owner)] == []
 
 
 @pytest.mark.parametrize("command", commands.COMMANDS, ids=lambda command: command.name)
 def test_every_command_is_there(command: commands.Command) -> None:
     assert callable(command.load_run())
-    assert isinstance(commands.load(command.options), type)
+    assert isinstance(command.spec_type, type)
 
 
 def test_options_reach_their_fields(tmp_path: Path) -> None:
@@ -141,3 +139,61 @@ def test_a_group_lists_its_commands(capsys: pytest.CaptureFixture[str]) -> None:
         "check",
         "render",
     ]
+
+
+@pytest.mark.parametrize(
+    ("words", "new", "values"),
+    [
+        (
+            ["score", "--check", "r.json", "--check-seed", "4294967295"],
+            "score check",
+            {"seed": 2**32 - 1},
+        ),
+        (["score", "--page", "x.md", "--table", "a", "b"], "score table", {}),
+        (["score", "--starts", "--split", "val"], "score starts", {}),
+        (["doctor", "--estimate", "--num-envs", "5"], "estimate", {}),
+        (
+            ["spawns", "make", "--out", "x.npz", "--starts", "published"],
+            "spawns make",
+            {},
+        ),
+    ],
+)
+def test_old_forms_are_read_with_a_line_about_the_new_one(
+    words: list[str],
+    new: str,
+    values: dict[str, object],
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    parsed = parse(words)
+    assert parsed.command.name == new
+    assert {name: parsed.values[name] for name in values} == values
+    assert "is now" in capsys.readouterr().err
+
+
+def test_entries_of_mappings_are_options_of_their_own() -> None:
+    words = ["--overrides.pick.force-limit", "2000", "--overrides.goal_type=cylinder"]
+    scales = ["--reward-scales.pick.reach", "4.0"]
+    spec = parse(["eval", "--subtask", "pick", *words, *scales]).spec
+    assert spec.env["overrides"] == {"pick.force_limit": 2000, "goal_type": "cylinder"}
+    assert spec.env["reward_scales"] == {"pick": {"reach": 4.0}}
+
+
+def test_an_entry_of_a_mapping_without_a_value_is_refused(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert main(["eval", "--overrides.goal-type"]) == 2
+    assert "--overrides.goal-type needs a value" in capsys.readouterr().err
+
+
+def test_config_tells_every_command(capsys: pytest.CaptureFixture[str]) -> None:
+    for words in (
+        ["homes", "list"],
+        ["data", "fields"],
+        ["score"],
+        ["warmup"],
+        ["estimate"],
+    ):
+        assert main(["config", *words, "--json"]) == 0
+        told = json.loads(capsys.readouterr().out)
+        assert told["command"] == " ".join(words)

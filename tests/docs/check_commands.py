@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from mjhab.cli.main import parse
-from mjhab.evaluation.specs import EnvSpec, env_names
+from mjhab.config.env_spec import EnvSpec, env_names
 from tests.docs.pages import (
     PAGES,
     README,
@@ -76,7 +76,7 @@ Lasting = subprocess.Popen[str]
 
 def small(words: list[str]) -> list[str]:
     """The words of a command with numbers that make it quick."""
-    if words[0] == "score" and {"--check", "--table"} & set(words):
+    if words[:2] in (["score", "check"], ["score", "table"]):
         return words
     # It has one world if the page does not say more, and refuses the option for recorded episodes.
     if words[0] == "view":

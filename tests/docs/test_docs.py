@@ -165,7 +165,7 @@ def check_command(command: Command, reason: str) -> None:
     ("words", "added"),
     [
         ("view runs/pick --export page.html", ""),
-        ("score --check scores/mine/result.json", ""),
+        ("score check scores/mine/result.json", ""),
         ("eval --subtask pick --episodes 50", "--episodes 2"),
         ("train bc --task set_table --subtask pick --out runs/a", "--demos 8"),
         (

@@ -30,12 +30,12 @@ from mjhab.evaluation.score.result import (
     write_result,
 )
 from mjhab.evaluation.score.run import (
-    ScoreSpec,
     check,
     check_rules,
     score,
     scored_options,
 )
+from mjhab.evaluation.score.spec import ScoreSpec
 from mjhab.rollout.records import SubtaskRecord
 
 ALL_ROWS = manifests.TRACKS["subtasks"]
@@ -58,7 +58,7 @@ def result(
     small: Any, tmp_path_factory: pytest.TempPathFactory
 ) -> tuple[Path, ScoreResult]:
     out = tmp_path_factory.mktemp("score")
-    spec = ScoreSpec("random", "subtasks", "test", out, worlds=2, threads=1)
+    spec = ScoreSpec.of("random", "subtasks", out, worlds=2, threads=1)
     return out / "result.json", score(spec)
 
 
@@ -77,9 +77,7 @@ def test_a_score_is_made_of_the_episodes_of_the_manifest(
     assert {"processor", "cores"} <= set(scored.facts["hardware"])
     assert "mujoco" in scored.facts["versions"]
     # Nothing is left to do: the second call reads what the first one left.
-    again = score(
-        ScoreSpec("random", "subtasks", "test", path.parent, worlds=2, threads=1)
-    )
+    again = score(ScoreSpec.of("random", "subtasks", path.parent, worlds=2, threads=1))
     assert again.summary == summary
     # The time is that of all starts, not that of the last one.
     assert again.facts["seconds"] == scored.facts["seconds"] > 0
@@ -344,27 +342,34 @@ def test_the_command_checks_and_tabulates(
 
 
 @pytest.mark.parametrize(
-    ("words", "message"),
+    "words",
     [
-        (
-            ["--check", "RESULT", "--policy", "zero"],
-            "--policy has no meaning with --check",
-        ),
-        (
-            ["--check", "RESULT", "--episodes", "3"],
-            "--episodes has no meaning with --check",
-        ),
-        (
-            ["--table", "RESULT", "--check-seed", "1"],
-            "--check-seed has no meaning with --table",
-        ),
-        (["--starts", "--policy", "zero"], "--policy has no meaning with --starts"),
-        (["--check-seed", "1"], "--check-seed is for --check FILE"),
-        (["--check", "FOLDER"], "is a folder; give the result.json in it"),
-        (["--table", "RESULT", "SUMMARY"], "are the same result; give one of them"),
+        ["check", "result.json", "--policy", "zero"],
+        ["check", "result.json", "--episodes", "3"],
+        ["table", "result.json", "--seed", "1"],
+        ["starts", "--policy", "zero"],
+        ["--check-seed", "1"],
     ],
 )
-def test_what_would_be_passed_over_is_refused(
+def test_options_of_another_command_are_refused(
+    words: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main(["score", *words])
+    assert ended.value.code == 2
+    assert (
+        next(word for word in words if word.startswith("--")) in capsys.readouterr().err
+    )
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["check", "FOLDER"], "is a folder; give the result.json in it"),
+        (["table", "RESULT", "SUMMARY"], "are the same result; give one of them"),
+    ],
+)
+def test_a_folder_and_a_result_given_twice_are_refused(
     words: list[str],
     message: str,
     result: tuple[Path, ScoreResult],

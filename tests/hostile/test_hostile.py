@@ -17,14 +17,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from mjhab.cli.commands import Command
 from mjhab.cli.main import main
-from mjhab.cli.options.limits import OUTPUTS, check_limits
 from mjhab.core.errors import MjhabError, UsageError
 from mjhab.core.files import cache
 from mjhab.core.files.cache import cache_dir, write_cached
+from mjhab.core.typed.bounds import Bound, Output, check_value
+from mjhab.core.typed.flags import mark_of
 from mjhab.data.select.query import Filter
 from tests.hostile.cases import Case, cases
-from tests.hostile.option_types import option_classes, values_of
+from tests.hostile.option_types import SPECS, bad_values, bounds_in, fields_of, made
 from tests.hostile.outcome import outcome
 from tests.hostile.readers import READERS
 
@@ -45,31 +47,30 @@ def test_it_is_refused(case: Case, tmp_path: Path):
 # -- options, each by its type -----------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    "options", option_classes(), ids=lambda options: options.__name__
-)
-def test_no_command_takes_numbers_and_texts_out_of_all_range(options: type):
-    for name, value in values_of(options):
-        with pytest.raises(UsageError, match=f"--{name.replace('_', '-')} "):
-            check_limits(make(options, name, value))
+@pytest.mark.parametrize("command", SPECS, ids=lambda command: command.name)
+def test_no_command_takes_numbers_and_texts_out_of_all_range(
+    command: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.chdir(tmp_path)
+    for option, value in bad_values(command):
+        with pytest.raises(UsageError) as refused:
+            made(command, option, value)
+        assert len(str(refused.value)) < 1000
+    assert list(tmp_path.iterdir()) == []
 
 
-def make(options: type, name: str, value: Any) -> Any:
-    """Options that hold nothing but ``value``: the parser is not asked, and nothing runs."""
-    made = object.__new__(options)
-    for field in options.__dataclass_fields__:
-        object.__setattr__(made, field, None)
-    object.__setattr__(made, name, value)
-    return made
+@pytest.mark.parametrize("command", SPECS, ids=lambda command: command.name)
+def test_defaults_are_in_range(command: Command):
+    for owner, name, default in fields_of(command):
+        if default is not dataclasses.MISSING and mark_of(owner, name, Output) is None:
+            check_value(owner, name, default)
 
 
-@pytest.mark.parametrize(
-    "options", option_classes(), ids=lambda options: options.__name__
-)
-def test_defaults_are_in_range(options: type):
-    for field in dataclasses.fields(options):
-        if field.default is not dataclasses.MISSING and field.name not in OUTPUTS:
-            check_limits(make(options, field.name, field.default))
+@pytest.mark.parametrize("command", SPECS, ids=lambda command: command.name)
+def test_every_bound_is_where_checks_find_it(command: Command):
+    for owner, name, _ in fields_of(command):
+        found = mark_of(owner, name, Bound)
+        assert bounds_in(owner, name) == ([found] if found else []), name
 
 
 # -- readers, fed with changed files -----------------------------------------------------------------------------------
@@ -220,10 +221,10 @@ def test_what_the_system_refuses_is_told_in_one_line(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ):
-    def fail(options: Any) -> int:
+    def fail() -> Any:
         raise error
 
-    monkeypatch.setattr("mjhab.cli.worlds.robots.run_robots", fail)
+    monkeypatch.setattr("mjhab.cli.worlds.robots.robot_rows", fail)
     assert main(["robots", "list"]) == code
     message = capsys.readouterr().err
     assert said in message and message.count("\n") == 1

@@ -13,7 +13,6 @@ from mjhab.core.errors import MjhabError
 from mjhab.learning import configs
 from mjhab.learning.changes import with_changes
 from mjhab.learning.configs import DaggerConfig, InputConfig, TrainConfig, preset_of
-from mjhab.paper.reproduce.command import table_spec
 from mjhab.paper.reproduce.rows import table_rows
 from mjhab.paper.reproduce.spec import TableSpec, chosen_rows, table_config
 from mjhab.paper.reproduce.studies import config_of
@@ -51,13 +50,13 @@ def test_rows_are_those_of_the_paper() -> None:
         (("--rows", "set_table/close/drawr"), "Did you mean 'set_table/close/drawer'"),
         (("--preset", "smal"), "Did you mean 'small'"),
         (("--split", "vla"), "unknown split"),
-        (("--episodes", "0"), "--episodes must be at least 1"),
+        (("--episodes", "0"), "episodes must be at least 1"),
         (("--profile", "ms_hub"), "Did you mean 'ms_hab'"),
         (("--variants", "px_64"), "unknown variant of table1 'px_64'"),
         (("--column", "rl_al"), "Did you mean 'rl_all'"),
         (("--column", "rl_all", "--preset", "small"), "preset"),
         (("--policies", "nowhere"), "not a folder of `mjhab reproduce`"),
-        (("--demos", "-1"), "--demos must be at least 0"),
+        (("--demos", "-1"), "demos must be at least 0"),
         (
             ("--demos", "5"),
             "--demos is for table5, demo_count, filters, choices, not for table1",
@@ -79,8 +78,8 @@ def test_bad_input(
 
 def test_a_robot_is_that_of_training_and_evaluation(tmp_path: Path) -> None:
     words = ["reproduce", "table1", "--out", str(tmp_path), "--robot", "fetch"]
-    spec = table_spec(parse(words).spec)
-    assert spec.robot == table_config(spec)["robot"] == "fetch"
+    spec = parse(words).spec
+    assert spec.asked.robot == table_config(spec)["robot"] == "fetch"
 
 
 def test_a_robot_without_its_files_leaves_no_folder(
@@ -99,7 +98,7 @@ def test_a_robot_without_its_files_leaves_no_folder(
 def test_a_row_that_is_named_twice_is_one_row(tmp_path: Path) -> None:
     rows = ["--rows", "set_table/close/drawer", "set_table/close/drawer"]
     words = ["reproduce", "table1", "--out", str(tmp_path), *rows]
-    assert [row.name for row in chosen_rows(table_spec(parse(words).spec))] == rows[1:2]
+    assert [row.name for row in chosen_rows(parse(words).spec)] == rows[1:2]
 
 
 def test_a_row_is_trained_judged_and_set_beside_the_paper(
@@ -227,11 +226,7 @@ def test_data_of_the_filter_study_differ_in_how_objects_are_released() -> None:
 
 
 def test_the_diffusion_policy_sees_images_of_the_presets_size() -> None:
-    spec = TableSpec(
-        what="table5", out=Path("x"), rows=(), preset="small", budget_minutes=0, split="val",
-        episodes=1, films=0, seed=0, assets="builtin", worlds=1, threads=1, resume=False,
-        profile="ms_hab",
-    )  # fmt: skip
+    spec = TableSpec(what="table5", out=Path("x"), preset="small", episodes=1)
     small, paper = (
         config_of(spec, Imitation(algorithm)).student for algorithm in ("bc", "diffusion")
     )

@@ -6,7 +6,6 @@ import re
 
 import pytest
 
-from mjhab.cli.options.policies.served import ServedOptions
 from mjhab.core.errors import UsageError
 from mjhab.serving.address import Address, with_options, without_password
 
@@ -18,12 +17,12 @@ def test_options_stand_behind_the_address() -> None:
     address = Address.parse(spec)
     assert address == Address("ws://host:8000", "behavior", execute=2, batch=True)
     assert Address.parse("wss://host:1/path").uri == "wss://host:1/path"
-    given = ServedOptions(timeout=2.0, first_timeout=5.0).served
+    given = {"timeout": 2.0, "first_timeout": 5.0}
     assert Address.parse(with_options("ws://host:1", given)) == Address(
         "ws://host:1", timeout=2.0, first_timeout=5.0
     )
     # Like the address itself, the option --timeout leaves the wait for the first answer as it is.
-    waits = Address.parse(with_options("ws://host:1", ServedOptions(timeout=2.0).served))
+    waits = Address.parse(with_options("ws://host:1", {"timeout": 2.0}))
     assert waits == Address.parse("ws://host:1?timeout=2")
 
 

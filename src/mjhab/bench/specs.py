@@ -1,61 +1,126 @@
-"""What the benches are asked to measure, with the defaults of `mjhab bench`, whose help tells what each entry means."""
+"""What the benches are asked to measure."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Annotated, Any, ClassVar
 
-from mjhab.config.profile_choice import ProfileChoice
+from mjhab.config.env_spec import PROFILE, EnvSpec, env_options
+from mjhab.core.typed.bounds import Bound, Output, Positive
+from mjhab.core.typed.flags import Flag
 
-
-@dataclass(frozen=True)
-class EnvBenchSpec(ProfileChoice):
-    """`env.measure`: one environment with each of several numbers of ``worlds``."""
-
-    env: str = "mjhab/PickSubtaskTrain-v1"
-    obs: str = "state"
-    worlds: tuple[int, ...] = (16,)
-    backend: str = "cpu"
-    device: str = ""
-    threads: int = 0
-    camera_size: int = 128
-    reward: str | None = None
-    task: str | None = None
-    steps: int = 40
-    rounds: int = 7
-    seed: int = 0
-    assets: str = "builtin"
+Worlds = Annotated[tuple[int, ...], Bound(1, 65_536, empty=False)]
 
 
 @dataclass(frozen=True)
-class ExpertsSpec(ProfileChoice):
-    """`experts.run.measure_experts`: rows of tasks, subtasks and targets; "" and () for all."""
+class EnvBenchSpec(EnvSpec):
+    """Measure an environment: steps per second compared with the bare engine, time per stage, memory, cold start."""
 
-    out: Path = Path("runs/experts")
-    assets: tuple[str, ...] = ("builtin",)
-    split: str = "val"
-    task: tuple[str, ...] = ()
-    subtask: tuple[str, ...] = ()
-    target: tuple[str, ...] = ()
+    WHAT: ClassVar[str] = "a bench"
+
+    id: Annotated[str, Flag("env", "ID")] = "mjhab/PickSubtaskTrain-v1"
+    """The environment id (see: mjhab envs list)."""
+    worlds: Worlds = (16,)
+    """Numbers of parallel worlds, measured one after the other."""
+    steps: Positive = 40
+    """Control steps per block; blocks of engine and environment alternate."""
+    rounds: Positive = 7
+    """Pairs of blocks; the results are medians over them."""
+    env: Annotated[
+        Mapping[str, Any],
+        env_options(
+            *PROFILE,
+            "obs_mode",
+            "camera_size",
+            "reward_mode",
+            "task",
+            "seed",
+            "threads",
+            "assets",
+            "backend",
+            "device",
+            shown={
+                "reward_mode": "default: that of the environment",
+                "task": "default: that of the environment",
+            },
+        ),
+    ] = field(default_factory=dict)
+    """Options of the environment, fields of `EnvConfig`."""
+
+
+@dataclass(frozen=True)
+class ExpertsSpec(EnvSpec):
+    """Measure the success rates of the scripted experts per task, subtask and target, next to the paper's policies.
+
+    All rows: `mjhab bench experts --assets builtin FOLDER --workers 2 --out runs/experts`
+
+    One row: `mjhab bench experts --task tidy_house --subtask pick --target 003_cracker_box --episodes 20`
+
+    Writes results.json, table.csv, report.html, episodes.jsonl (one line per episode) and rows/, a folder of recorded
+    episodes for every row, which `mjhab replay` and `mjhab data` read. Ctrl-C and SIGTERM keep the finished episodes;
+    the same command with `--resume` continues. The table depends on the seed, not on the number of workers.
+    """
+
+    WHAT: ClassVar[str] = "a bench"
+
+    out: Annotated[Path, Flag(metavar="FOLDER"), Output()] = Path("runs/experts")
+    """Folder of the results."""
+    assets: Annotated[tuple[str, ...], Flag(metavar="builtin|FOLDER ...")] = ("builtin",)
+    """Asset packs, one after the other. FOLDER?stage=FILE.glb puts that stage into all homes of a ReplicaCAD folder."""
+    task: Annotated[tuple[str, ...], Flag(shown="default: all")] = ()
+    """Only these tasks: set_table, tidy_house, prepare_groceries."""
+    subtask: Annotated[tuple[str, ...], Flag(shown="default: all")] = ()
+    """Only these: pick, place, navigate, open, close, and chain for whole tasks."""
+    target: Annotated[tuple[str, ...], Flag(shown="default: all")] = ()
+    """Only rows with these targets, e.g. 003_cracker_box or fridge/top_door."""
     episodes: int = 100
+    """Number of episodes per row, with indices 0 to N-1; 0 leaves out single subtasks."""
     chains: int = 50
+    """Episodes of every chain; 0 leaves the chains out."""
     navigate: tuple[str, ...] = ("teleport", "drive")
-    workers: int = 2
-    worlds: int = 4
-    seed: int = 0
+    """Navigation in chains: teleport, as in the paper, or drive, by the expert; every chain is measured with each."""
+    workers: Annotated[int, Bound(1, 256)] = 2
+    """Number of processes. Changes the speed, never the results."""
     resume: bool = False
+    """Continue in --out; rows may be added, and --episodes, --chains, --workers and --worlds may differ."""
+    env: Annotated[
+        Mapping[str, Any],
+        env_options(*PROFILE, "split", "seed", "num_envs", split="val", num_envs=4),
+    ] = field(default_factory=dict)
+    """Options of the environment, fields of `EnvConfig`; worlds are those of a worker."""
+
+    @property
+    def of_profile(self) -> dict[str, Any]:
+        """The profile, and the given options beside it."""
+        given = {name: value for name, value in self.env.items() if name in PROFILE}
+        return {"profile": self.asked.profile, **given}
 
 
 @dataclass(frozen=True)
-class InteractSpec:
-    """`interact.run.measure_interact`: the Interact benchmark, ``seeds`` times with each number of ``worlds``."""
+class InteractSpec(EnvSpec):
+    """The paper's Interact benchmark: 200 control steps sweep the arm through five objects, two cameras each step.
 
-    backend: str = "auto"
-    worlds: tuple[int, ...] = (16,)
-    seeds: int = 10
+    `mjhab bench interact --backend warp --worlds 64 256 1024 4096 --no-render`
+
+    Writes interact.json, interact.csv and report.html with the plot of speed over memory.
+    """
+
+    WHAT: ClassVar[str] = "a bench"
+
+    worlds: Worlds = (16,)
+    """Numbers of worlds, measured one after the other."""
+    seeds: Positive = 10
+    """Number of repetitions, named seeds as in the paper; nothing in the benchmark is random."""
     no_render: bool = False
-    steps: int = 200
-    device: str = ""
-    threads: int = 0
-    assets: str = "builtin"
-    out: Path = Path("runs/interact")
+    """Physics only, without 2 x 128 x 128 RGB and depth."""
+    steps: Positive = 200
+    """Control steps of a run: the first N of the 200 recorded ones."""
+    out: Annotated[Path, Flag(metavar="FOLDER"), Output()] = Path("runs/interact")
+    """Folder of the results; results of an earlier run are replaced."""
+    env: Annotated[
+        Mapping[str, Any],
+        env_options("backend", "device", "threads", "assets", backend="auto"),
+    ] = field(default_factory=dict)
+    """Options of the environment, fields of `EnvConfig`."""

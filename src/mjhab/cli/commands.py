@@ -1,4 +1,4 @@
-"""The commands of ``mjhab``: what each is called, what it takes, what runs it.
+"""The commands of ``mjhab``: what each is called, what runs it, what it takes.
 
 Specifications and functions are named, not imported, so that help is fast: `load` imports those of one command.
 """
@@ -6,6 +6,7 @@ Specifications and functions are named, not imported, so that help is fast: `loa
 from __future__ import annotations
 
 import importlib
+import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -17,23 +18,31 @@ from mjhab.core.errors import UsageError, unknown_name
 class Command:
     """A command.
 
-    name: its words, e.g. "homes list". summary: a line for the overview. options: module (below ``mjhab``) and name of
-    the dataclass that its command line is made of. run: module (below ``mjhab.cli``, of the paper's studies below
-    ``mjhab``) and name of the function that takes it. memory: whether it has the option --cache-mb. spec: whether the
-    dataclass is a specification, see `parsing.parse_spec`; else it is parsed as it is.
+    name: its words, e.g. "homes list". summary: a line for the overview. run: module (below ``mjhab.cli``; of the
+    paper's studies below ``mjhab``) and name of the function that takes the specification, and whether to print JSON,
+    and returns the exit code. spec: module (below ``mjhab``) and name of the dataclass that the command line is made
+    of; "" for the one in the annotation of ``run``. memory: whether it has the option --cache-mb.
     """
 
     name: str
     summary: str
-    options: str
     run: str
+    spec: str = ""
     memory: bool = False
-    spec: bool = False
 
     @property
     def words(self) -> tuple[str, ...]:
         """The words of its name."""
         return tuple(self.name.split())
+
+    @property
+    def spec_type(self) -> type[Any]:
+        """The class of its specification."""
+        if self.spec:
+            return load(self.spec)
+        function = self.load_run()
+        name = next(iter(function.__annotations__.values()))
+        return getattr(sys.modules[function.__module__], name)
 
     def load_run(self) -> Any:
         """Import the function that runs it."""
@@ -46,6 +55,8 @@ def load(path: str) -> Any:
     return getattr(importlib.import_module(f"mjhab.{module}"), name)
 
 
+CONFIG = "config"
+"""Its words name another command."""
 GROUPS = {
     "envs": "list environments and describe their observations, actions and rewards",
     "robots": "list and describe robots",
@@ -82,331 +93,240 @@ COMMANDS: tuple[Command, ...] = (
     Command(
         "demo",
         "a robot sets the table in four homes; films and a report",
-        "cli.options.policies.evaluate:DemoOptions",
         "policies.evaluate:run_demo",
     ),
     Command(
         "eval",
         "evaluate a policy: records, summary, films, report",
-        "evaluation.specs:EvalSpec",
         "policies.evaluate:run_eval",
+        "evaluation.specs:EvalSpec",
         memory=True,
-        spec=True,
     ),
     Command(
         "generate",
         "record episodes of a policy in a data set",
-        "evaluation.specs:GenerateSpec",
         "datasets.generate:run_generate",
+        "evaluation.specs:GenerateSpec",
         memory=True,
-        spec=True,
     ),
     Command(
         "train bc",
         "behaviour cloning",
-        "learning.runs.specs:BcSpec",
         "policies.train:run_train",
-        spec=True,
+        "learning.runs.specs:BcSpec",
     ),
     Command(
         "train flow",
         "flow matching",
-        "learning.runs.specs:FlowSpec",
         "policies.train:run_train",
-        spec=True,
+        "learning.runs.specs:FlowSpec",
     ),
     Command(
         "train act",
         "action chunking with a transformer",
-        "learning.runs.specs:ActSpec",
         "policies.train:run_train",
-        spec=True,
+        "learning.runs.specs:ActSpec",
     ),
     Command(
         "train diffusion",
         "the diffusion policy of MS-HAB",
-        "learning.runs.specs:DiffusionSpec",
         "policies.train:run_train",
-        spec=True,
+        "learning.runs.specs:DiffusionSpec",
     ),
     Command(
         "train dagger",
         "take-over DAgger: the expert finishes what the policy begins",
-        "learning.runs.specs:DaggerSpec",
         "policies.train:run_train",
-        spec=True,
+        "learning.runs.specs:DaggerSpec",
     ),
     Command(
         "train ppo",
         "proximal policy optimization",
-        "learning.reinforcement.specs:PpoSpec",
         "policies.train:run_train",
-        spec=True,
+        "learning.reinforcement.specs:PpoSpec",
     ),
     Command(
         "train sac",
         "soft actor-critic",
-        "learning.reinforcement.specs:SacSpec",
         "policies.train:run_train",
-        spec=True,
+        "learning.reinforcement.specs:SacSpec",
     ),
     Command(
         "train rlpd",
         "soft actor-critic with demonstrations",
-        "learning.reinforcement.specs:RlpdSpec",
         "policies.train:run_train",
-        spec=True,
+        "learning.reinforcement.specs:RlpdSpec",
     ),
     Command(
         "score",
         "a comparable score of a policy, checked by replay",
-        "cli.options.policies.score:ScoreOptions",
         "policies.score:run_score",
+        "evaluation.score.spec:ScoreSpec",
+    ),
+    Command(
+        "score check",
+        "verify a score by replaying its episodes",
+        "policies.score:run_check",
+        "evaluation.score.spec:CheckSpec",
+    ),
+    Command(
+        "score table",
+        "a table of scores",
+        "policies.score:run_table",
+        "evaluation.score.spec:LeaderboardSpec",
+    ),
+    Command(
+        "score starts",
+        "write missing start digests of a track",
+        "policies.score:run_starts",
+        "evaluation.score.spec:StartsSpec",
     ),
     Command(
         "reproduce",
         "the tables and figures of the MS-HAB paper",
-        "cli.options.policies.reproduce:ReproduceOptions",
         "paper.reproduce.command:run_reproduce",
+        spec="paper.reproduce.spec:TableSpec",
     ),
     Command(
         "serve",
         "serve a policy over websockets",
-        "cli.options.policies.serve:ServeOptions",
         "policies.serve:run_serve",
+        "evaluation.served.spec:ServeSpec",
     ),
     Command(
         "view",
         "watch worlds or recorded episodes in a browser, drive by hand",
-        "viewer.spec:ViewSpec",
         "view:run_view",
-        spec=True,
+        "viewer.spec:ViewSpec",
     ),
     Command(
         "replay",
         "simulate recorded actions again, or render recorded states",
-        "evaluation.datasets.specs:ReplaySpec",
         "datasets.replay:run_replay",
-        spec=True,
+        "evaluation.datasets.specs:ReplaySpec",
     ),
     Command(
         "label",
         "label recorded episodes again by the present rules",
-        "evaluation.datasets.specs:LabelSpec",
         "datasets.data:run_relabelling",
-        spec=True,
+        "evaluation.datasets.specs:LabelSpec",
     ),
     Command(
         "data query",
         "select episodes by an expression",
-        "cli.options.datasets.data:DataQueryOptions",
-        "datasets.data:run_data",
+        "datasets.data:query",
+        "evaluation.datasets.set_specs:QuerySpec",
     ),
     Command(
         "data stats",
         "count episodes, labels and targets",
-        "cli.options.datasets.data:DataStatsOptions",
-        "datasets.data:run_data",
+        "datasets.data:stats",
+        "evaluation.datasets.set_specs:StatsSpec",
     ),
     Command(
         "data report",
         "a page about a data set",
-        "cli.options.datasets.data:DataReportOptions",
-        "datasets.data:run_data",
+        "datasets.data:write_report",
+        "evaluation.datasets.set_specs:ReportSpec",
     ),
     Command(
         "data merge",
         "join data sets",
-        "cli.options.datasets.data:DataMergeOptions",
-        "datasets.data:run_data",
+        "datasets.data:merge",
+        "evaluation.datasets.set_specs:MergeSpec",
     ),
     Command(
         "data split",
         "divide a data set",
-        "cli.options.datasets.data:DataSplitOptions",
-        "datasets.data:run_data",
+        "datasets.data:split",
+        "evaluation.datasets.set_specs:SplitSpec",
     ),
     Command(
         "data pack",
         "make shards of a recorded data set",
-        "cli.options.datasets.data:DataPackOptions",
-        "datasets.data:run_data",
+        "datasets.data:pack_files",
+        "evaluation.datasets.set_specs:PackSpec",
     ),
     Command(
         "data import",
         "read the data of MS-HAB",
-        "cli.options.datasets.data:DataImportOptions",
-        "datasets.data:run_data",
+        "datasets.data:import_files",
+        "evaluation.datasets.set_specs:ImportSpec",
     ),
     Command(
         "data check",
         "compare hashes and sizes",
-        "cli.options.datasets.data:DataCheckOptions",
-        "datasets.data:run_data",
+        "datasets.data:check",
+        "evaluation.datasets.set_specs:ShardCheckSpec",
     ),
     Command(
         "data repair",
         "save what can be read of damaged files",
-        "cli.options.datasets.data:DataRepairOptions",
-        "datasets.data:run_data",
+        "datasets.data:repair",
+        "evaluation.datasets.set_specs:RepairSpec",
     ),
-    Command(
-        "data fields",
-        "what expressions can name",
-        "cli.options.datasets.data:DataFieldsOptions",
-        "datasets.data:run_data",
-    ),
+    Command("data fields", "what expressions can name", "datasets.data:tell_fields"),
     Command(
         "export lerobot",
         "for LeRobot",
-        "evaluation.datasets.specs:LerobotSpec",
         "datasets.export:run_export",
-        spec=True,
+        "evaluation.datasets.specs:LerobotSpec",
     ),
     Command(
         "export maniskill",
         "for ManiSkill and MS-HAB",
-        "evaluation.datasets.specs:ManiskillSpec",
         "datasets.export:run_export",
-        spec=True,
+        "evaluation.datasets.specs:ManiskillSpec",
     ),
-    Command(
-        "envs list",
-        "environment ids",
-        "cli.options.env:EnvsListOptions",
-        "worlds.envs:run_envs",
-    ),
+    Command("envs list", "environment ids", "worlds.envs:list_envs"),
     Command(
         "envs describe",
         "observations, actions and rewards of one",
-        "cli.options.env:EnvsDescribeOptions",
-        "worlds.envs:run_envs",
+        "worlds.envs:describe_env",
     ),
+    Command("robots list", "the robots", "worlds.robots:list_robots"),
+    Command("robots show", "joints and cameras of one", "worlds.robots:show_robot"),
+    Command("homes list", "homes of a pack", "worlds.homes:list_homes"),
+    Command("homes show", "rooms and furniture of one", "worlds.homes:show_home"),
+    Command("homes check", "what can be done in homes", "worlds.homes_check:check_homes"),
+    Command("homes render", "pictures of homes", "worlds.homes_render:render"),
+    Command("assets list", "what can be fetched", "worlds.assets:list_assets"),
+    Command("assets fetch", "download and install", "worlds.assets:fetch_assets"),
     Command(
-        "robots list",
-        "the robots",
-        "cli.options.env:RobotsListOptions",
-        "worlds.robots:run_robots",
+        "assets verify", "compare files with their hashes", "worlds.assets:verify_assets"
     ),
-    Command(
-        "robots show",
-        "joints and cameras of one",
-        "cli.options.env:RobotsShowOptions",
-        "worlds.robots:run_robots",
-    ),
-    Command(
-        "homes list",
-        "homes of a pack",
-        "cli.options.homes:HomesListOptions",
-        "worlds.homes:run_homes",
-    ),
-    Command(
-        "homes show",
-        "rooms and furniture of one",
-        "cli.options.homes:HomesShowOptions",
-        "worlds.homes:run_homes",
-    ),
-    Command(
-        "homes check",
-        "what can be done in homes",
-        "cli.options.homes:HomesCheckOptions",
-        "worlds.homes:run_homes",
-    ),
-    Command(
-        "homes render",
-        "pictures of homes",
-        "cli.options.homes:HomesRenderOptions",
-        "worlds.homes:run_homes",
-    ),
-    Command(
-        "assets list",
-        "what can be fetched",
-        "cli.options.assets:AssetsListOptions",
-        "worlds.assets:run_assets",
-    ),
-    Command(
-        "assets fetch",
-        "download and install",
-        "cli.options.assets:AssetsFetchOptions",
-        "worlds.assets:run_assets",
-    ),
-    Command(
-        "assets verify",
-        "compare files with their hashes",
-        "cli.options.assets:AssetsVerifyOptions",
-        "worlds.assets:run_assets",
-    ),
-    Command(
-        "assets where",
-        "where they are",
-        "cli.options.assets:AssetsWhereOptions",
-        "worlds.assets:run_assets",
-    ),
-    Command(
-        "episodes make",
-        "write a file of episodes",
-        "cli.options.episodes:EpisodesMakeOptions",
-        "worlds.episodes:run_episodes",
-    ),
-    Command(
-        "episodes check",
-        "check one against homes",
-        "cli.options.episodes:EpisodesCheckOptions",
-        "worlds.episodes:run_episodes",
-    ),
-    Command(
-        "spawns make",
-        "compute start states once",
-        "cli.options.spawn:SpawnsMakeOptions",
-        "worlds.spawns:run_spawns",
-    ),
-    Command(
-        "spawns list",
-        "sets of start states",
-        "cli.options.spawn:SpawnsListOptions",
-        "worlds.spawns:run_spawns",
-    ),
+    Command("assets where", "where they are", "worlds.assets:where"),
+    Command("episodes make", "write a file of episodes", "worlds.episodes:make"),
+    Command("episodes check", "check one against homes", "worlds.episodes:check"),
+    Command("spawns make", "compute start states once", "worlds.spawns:make"),
+    Command("spawns list", "sets of start states", "worlds.spawns:list_sets"),
     Command(
         "bench env",
         "steps per second of an environment, by stage",
-        "cli.options.env:BenchEnvOptions",
         "bench.env:bench_env",
+        spec="bench.specs:EnvBenchSpec",
     ),
     Command(
         "bench experts",
         "success of the scripted experts",
-        "cli.options.expert:BenchExpertsOptions",
         "bench.experts:bench_experts",
+        spec="bench.specs:ExpertsSpec",
     ),
     Command(
         "bench interact",
         "the benchmark Interact of the paper",
-        "cli.options.gpu:BenchInteractOptions",
         "bench.interact:bench_interact",
+        spec="bench.specs:InteractSpec",
+    ),
+    Command("examples", "copy the examples", "machine.examples:run_examples"),
+    Command(
+        "warmup", "compile kernels before they are needed", "machine.warmup:run_warmup"
     ),
     Command(
-        "config",
-        "print the resolved options of a command without running it",
-        "cli.parsing:Parsed",
-        "machine.config:run_config",
+        "doctor", "what is installed, and what it can do", "machine.doctor:run_doctor"
     ),
     Command(
-        "examples",
-        "copy the examples",
-        "cli.options.machine:ExamplesOptions",
-        "machine.examples:run_examples",
-    ),
-    Command(
-        "warmup",
-        "compile kernels before they are needed",
-        "cli.options.gpu:WarmupOptions",
-        "machine.warmup:run_warmup",
-    ),
-    Command(
-        "doctor",
-        "what is installed, and what it can do",
-        "cli.options.machine:DoctorOptions",
-        "machine.doctor:run_doctor",
+        "estimate", "memory of worlds, and how many fit", "machine.estimate:run_estimate"
     ),
 )
 """All commands, in the order of the overview."""
@@ -422,6 +342,8 @@ def find(args: Sequence[str]) -> tuple[Command, Sequence[str]]:
         UsageError: there is no such command; the message names the nearest, or where a bench is now.
     """
     first = args[0]
+    if tuple(args[:2]) in BY_WORDS:
+        return BY_WORDS[tuple(args[:2])], args[2:]
     if first in GROUPS:
         inside = [command.words[1] for command in COMMANDS if command.words[0] == first]
         second = args[1] if len(args) > 1 else ""
@@ -429,11 +351,9 @@ def find(args: Sequence[str]) -> tuple[Command, Sequence[str]]:
             raise UsageError(
                 f"`mjhab bench {second}` is `python -m benchmarks.{second}` now, in a checkout of mjhab."
             )
-        if second not in inside:
-            raise unknown_name(f"command of {first}", second, inside)
-        return BY_WORDS[first, second], args[2:]
+        raise unknown_name(f"command of {first}", second, inside)
     if (first,) not in BY_WORDS:
-        names = [*(command.words[0] for command in COMMANDS), *GROUPS]
+        names = [*(command.words[0] for command in COMMANDS), *GROUPS, CONFIG]
         raise unknown_name("command", first, list(dict.fromkeys(names)))
     return BY_WORDS[(first,)], args[1:]
 
@@ -452,6 +372,9 @@ def overview(group: str = "") -> str:
                 lines.append((first, GROUPS[first]))
             shown.add(first)
         else:
-            lines.append((first, command.summary))
+            lines.append((command.name, command.summary))
+    lines += (
+        [] if group else [(CONFIG, "print what a command line means, without running it")]
+    )
     width = max(len(name) for name, _ in lines)
     return "\n".join(f"  {name:{width}}  {summary}" for name, summary in lines)

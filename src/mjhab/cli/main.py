@@ -5,16 +5,13 @@ from __future__ import annotations
 import dataclasses
 import sys
 from collections.abc import Callable, Sequence
-from typing import Any, NoReturn
-
-import tyro
+from typing import NoReturn
 
 from mjhab import register_all
 from mjhab.cli import commands
 from mjhab.cli.exits import BROKEN_PIPE, FAILED, INTERRUPTED, OK, USAGE
-from mjhab.cli.options.limits import check_limits
-from mjhab.cli.parsing import TYRO, Parsed, parse_spec
-from mjhab.cli.renamed import with_new_names
+from mjhab.cli.parsing import Parsed, parse_words
+from mjhab.cli.renamed import with_command
 from mjhab.cli.streams import (
     described,
     drop_unwritable_stdout,
@@ -32,7 +29,6 @@ DESCRIPTION = f"""mjhab {__version__}: home assistant tasks with low-level whole
 A robot tidies furnished homes with real physics. Start with `mjhab demo`; `mjhab doctor` shows what is installed."""
 
 HELP = ("-h", "--help")
-CONFIG = "config"
 CONFIG_DESCRIPTION = """Print what a command line means, with all defaults, as one line of JSON, without running it.
 
 `mjhab config eval --subtask pick --profile ms_hab`"""
@@ -106,25 +102,18 @@ def parse(args: Sequence[str]) -> Parsed:
         raise UsageError(f"name a command: {names}. `mjhab --help` tells what each does.")
     if args[0] in HELP:
         _print_help("mjhab COMMAND", DESCRIPTION, "")
-    args = with_new_names(args)
-    if args[0] == CONFIG:
+    args = with_command(args)
+    if args[0] == commands.CONFIG:
         if len(args) == 1 or args[1] in HELP:
-            _print_help(f"mjhab {CONFIG} COMMAND", CONFIG_DESCRIPTION, "")
-        return Parsed(commands.BY_WORDS[(CONFIG,)], parse(args[1:]))
+            _print_help(f"mjhab {commands.CONFIG} COMMAND", CONFIG_DESCRIPTION, "")
+        return dataclasses.replace(parse(args[1:]), tells=True)
     group = commands.GROUPS.get(args[0])
     if group and (len(args) == 1 or args[1] in HELP):
         _print_help(
             f"mjhab {args[0]} COMMAND", f"{group[0].upper()}{group[1:]}.", args[0]
         )
     command, rest = commands.find(args)
-    options = commands.load(command.options)
-    prog = f"mjhab {command.name}"
-    if command.spec:
-        return parse_spec(command, options, prog, rest)
-    parsed = tyro.cli(options, prog=prog, args=rest, config=TYRO)
-    check_limits(parsed)
-    limit = getattr(parsed, "cache_mb", None)
-    return Parsed(command, parsed, json=getattr(parsed, "json", False), cache_mb=limit)
+    return parse_words(command, rest)
 
 
 def _print_help(usage: str, description: str, group: str) -> NoReturn:
@@ -134,33 +123,15 @@ def _print_help(usage: str, description: str, group: str) -> NoReturn:
     sys.exit(0)
 
 
-def with_pack_request(options: Any) -> Any:
-    """Merge ``articulate`` and ``stage_mesh`` of the options into ``assets``, as JSON data of a `PackRequest`."""
-    furniture = getattr(options, "articulate", None)
-    stage = getattr(options, "stage_mesh", None)
-    if furniture is None and stage is None:
-        return options
-    from mjhab.scenes.pack_source import PackRequest
-
-    request = PackRequest(
-        options.assets,
-        articulate=tuple(furniture.split(",")) if furniture else (),
-        stage_mesh=str(stage) if stage else "",
-    )
-    return dataclasses.replace(
-        options, assets=request.as_json(), stage_mesh=None, articulate=None
-    )
-
-
 def run(parsed: Parsed) -> int:
     """Run a parsed command and return the exit code."""
     register_all()
     if parsed.cache_mb is not None:
         set_memory_limit(parsed.cache_mb)
+    if parsed.tells:
+        return commands.load("cli.machine.config:run_config")(parsed)
     function = parsed.command.load_run()
-    if parsed.command.spec:
-        return function(parsed.spec, parsed.json)
-    return function(with_pack_request(parsed.spec))
+    return function(parsed.spec, parsed.json)
 
 
 if __name__ == "__main__":

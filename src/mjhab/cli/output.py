@@ -5,14 +5,13 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 from rich.cells import cell_len
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from mjhab.core.errors import UsageError
 from mjhab.rollout.records import skips_told
 
 PIPED_WIDTH = 10_000
@@ -31,6 +30,32 @@ def tell_caution(told: Mapping[str, Any]) -> None:
     caution = told.get("policy_caution")
     if caution:
         print(f"mjhab: {caution}", file=sys.stderr)
+
+
+class Listing(NamedTuple):
+    """A table, as `print_table` takes it."""
+
+    title: str
+    columns: Sequence[str]
+    rows: Iterable[Sequence[object]]
+
+
+def report(json: bool, facts: Mapping[str, Any], *parts: Listing | str | None) -> None:
+    """Print the result of a command: ``facts`` as one line of JSON for machines, or the parts for people.
+
+    Args:
+        json: which of the two.
+        facts: JSON data.
+        *parts: tables and lines; "" and None are left out.
+    """
+    if json:
+        print_json(facts)
+        return
+    for part in parts:
+        if isinstance(part, Listing):
+            print_table(*part)
+        elif part:
+            print(part)
 
 
 def tell_skipped(skipped: Mapping[str, int]) -> None:
@@ -103,13 +128,3 @@ def _cells(columns: Sequence[str], row: Sequence[object]) -> Table:
         cells.add_row(Text(name, style="bold"), Text(str(cell)))
     cells.add_row()
     return cells
-
-
-def at_least(option: str, value: float, least: float) -> None:
-    """Refuse a number below ``least``.
-
-    Raises:
-        UsageError: the number is too small.
-    """
-    if value < least:
-        raise UsageError(f"--{option} must be at least {least}, got {value}.")

@@ -6,9 +6,10 @@ tyro parses a flat dataclass that is made of the specification; `Parsed` holds t
 from __future__ import annotations
 
 import dataclasses
+import json
 import types
 import typing
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -16,9 +17,17 @@ from typing import Annotated, Any
 
 import tyro
 
-from mjhab.cli.commands import Command, load
-from mjhab.cli.options.limits import check_limits
-from mjhab.core.typed.flags import Flag, OptionsOf, field_docs, summary_of
+from mjhab.cli.commands import Command
+from mjhab.cli.renamed import with_own_options
+from mjhab.core.errors import UsageError
+from mjhab.core.typed.flags import (
+    Flag,
+    Keyed,
+    OptionsOf,
+    field_docs,
+    hints_of,
+    summary_of,
+)
 
 TYRO = (
     tyro.conf.OmitSubcommandPrefixes,
@@ -39,9 +48,10 @@ METAVARS: Mapping[Any, str] = {
 class Option:
     """An option of a command.
 
-    name: without dashes, with underscores. path: of the field in the specification; keys of mappings, too.
+    name: without dashes, with underscores. path: of the value in the specification: names of fields, keys of mappings.
     hint: type. default: dataclasses.MISSING for an option that must be given; None of an option that may be absent and
     then is not part of the specification, see ``optional``. flag: what the annotation says. help: the docstring.
+    keyed: for an option of which there is one for each key.
     """
 
     name: str
@@ -51,6 +61,7 @@ class Option:
     flag: Flag
     help: str
     optional: bool = False
+    keyed: Keyed | None = None
 
     @property
     def is_switch(self) -> bool:
@@ -81,14 +92,17 @@ class Option:
         """Name, annotation and default for `dataclasses.make_dataclass`."""
         hint = self.hint
         default = self.default
-        shown = self.flag.shown or ("default: none" if default in ((), "") else "")
+        shown = self.flag.shown or ("default: none" if default in ((), "", {}) else "")
         if self.flag.positional and default is dataclasses.MISSING:
             shown = "required"
+        if self.keyed is not None:
+            hint = str
         if self.optional and not self.is_switch:
             hint = hint | None
             shown = shown or f"default: {_in_words(default)}"
             default = None
         told = tyro.conf.arg(
+            name=f"{self.name}.{self.keyed.key}" if self.keyed else self.name,
             metavar=(self.flag.metavar or _metavar(hint)) if self.takes_value else None,
             help=self.help,
             help_behavior_hint=f"({shown})" if shown else None,
@@ -105,14 +119,15 @@ class Option:
 class Parsed:
     """A parsed command line.
 
-    command: the command. options: of its own class, or that of `flat_options`. json, cache_mb: those that are no part
-    of a specification.
+    command: the command. values: of its specification, in nested mappings. json, cache_mb: options of all commands,
+    which are no part of a specification. tells: whether the command is only told, not run.
     """
 
     command: Command
-    options: Any
+    values: Mapping[str, Any]
     json: bool = False
     cache_mb: float | None = None
+    tells: bool = False
 
     @cached_property
     def spec(self) -> Any:
@@ -121,15 +136,7 @@ class Parsed:
         Raises:
             UsageError: the specification refuses a value.
         """
-        if not self.command.spec:
-            return self.options
-        spec_type = load(self.command.options)
-        values: dict[str, Any] = {}
-        for option in options_of(spec_type):
-            value = getattr(self.options, option.name)
-            if not option.is_absent(value):
-                _put(values, option.path, value)
-        return _build(spec_type, values)
+        return _build(self.command.spec_type, self.values)
 
 
 JSON = Option(
@@ -146,44 +153,41 @@ CACHE_MB = Option(
 )
 
 
-def parse_spec(
-    command: Command, spec_type: type[Any], prog: str, args: Sequence[str]
-) -> Parsed:
-    """Parse the command line of a specification; exits with code 2 and a message if it does not fit.
-
-    Args:
-        command: the command.
-        spec_type: class of its specification.
-        prog: name of the command, for messages.
-        args: the words after it.
+def parse_words(command: Command, words: Sequence[str]) -> Parsed:
+    """Parse the words behind the name of a command; exits with code 2 and a message if they do not fit.
 
     Raises:
-        UsageError: a value is out of range.
+        UsageError: a word of the form --NAME.KEY has no value.
     """
+    spec_type = command.spec_type
+    options = list(options_of(spec_type))
+    words = with_own_options(command.name, words, [o.name for o in options])
+    words, entries = _without_keyed(words, options)
+    extra = [JSON, CACHE_MB] if command.memory else [JSON]
+    fields = [option.as_field() for option in (*options, *extra)]
     given = tyro.cli(
-        flat_options(command, spec_type),
-        prog=prog,
+        dataclasses.make_dataclass("Options", fields, kw_only=True),
+        prog=f"mjhab {command.name}",
         description=summary_of(spec_type),
-        args=args,
+        args=words,
         config=TYRO,
     )
-    check_limits(given)
-    return Parsed(command, given, given.json, getattr(given, "cache_mb", None))
-
-
-def flat_options(command: Command, spec_type: type[Any]) -> type[Any]:
-    """The dataclass of a command's options that tyro reads."""
-    extra = [JSON, CACHE_MB] if command.memory else [JSON]
-    fields = [option.as_field() for option in (*options_of(spec_type), *extra)]
-    return dataclasses.make_dataclass("Options", fields, kw_only=True)
+    values: dict[str, Any] = {}
+    for option in options:
+        value = getattr(given, option.name)
+        if option.keyed is None and not option.is_absent(value):
+            _put(values, option.path, value)
+    for path, value in entries:
+        _put(values, path, value)
+    return Parsed(command, values, given.json, getattr(given, "cache_mb", None))
 
 
 def options_of(spec_type: type[Any], path: tuple[str, ...] = ()) -> Iterator[Option]:
     """The options of a specification, in the order of its fields."""
     docs = field_docs(spec_type)
     for field, hint, marks in _fields(spec_type):
-        flag = next((mark for mark in marks if isinstance(mark, Flag)), Flag())
-        many = next((mark for mark in marks if isinstance(mark, OptionsOf)), None)
+        flag = _mark(marks, Flag) or Flag()
+        many = _mark(marks, OptionsOf)
         here = (*path, field.name)
         if flag.hidden:
             continue
@@ -203,26 +207,25 @@ def options_of(spec_type: type[Any], path: tuple[str, ...] = ()) -> Iterator[Opt
 
 
 def _optional(many: OptionsOf, path: tuple[str, ...]) -> Iterator[Option]:
+    """The options of a mapping."""
     docs = {**field_docs(many.owner), **many.docs}
     for field, hint, marks in _fields(many.owner):
-        flag = next((mark for mark in marks if isinstance(mark, Flag)), Flag())
-        if field.name in many.apart or flag.hidden:
+        flag = _mark(marks, Flag) or Flag()
+        if not many.has(field.name) or flag.hidden:
             continue
         flag = many.flag(field.name, flag)
-        here = (*path, field.name)
-        default = many.defaults.get(field.name, _default(field))
+        name = flag.name or field.name
+        about = docs.get(field.name, "")
+        keyed = _mark(marks, Keyed)
         if flag.kind is not None and dataclasses.is_dataclass(flag.kind):
-            yield from _spread(flag, field.name, here, docs.get(field.name, ""))
-            continue
-        yield Option(
-            flag.name or field.name,
-            here,
-            flag.kind or hint,
-            default,
-            flag,
-            docs.get(field.name, ""),
-            optional=True,
-        )
+            yield from _spread(flag, name, (*path, name), about)
+        else:
+            default = many.defaults.get(field.name, _default(field))
+            if keyed is not None:
+                flag = dataclasses.replace(flag, metavar=keyed.metavar)
+            kind = flag.kind or hint
+            here = (*path, name)
+            yield Option(name, here, kind, default, flag, about, True, keyed)
 
 
 def _spread(
@@ -231,10 +234,10 @@ def _spread(
     """The options of a field that holds a dataclass; the first field of that has the name of the option."""
     docs = field_docs(flag.kind)
     for number, (field, hint, marks) in enumerate(_fields(flag.kind)):
-        inner = next((mark for mark in marks if isinstance(mark, Flag)), Flag())
+        inner = _mark(marks, Flag) or Flag()
         first = number == 0
         yield Option(
-            (flag.name or name) if first else (inner.name or field.name),
+            name if first else (inner.name or field.name),
             (*path, field.name),
             hint,
             _default(field),
@@ -244,18 +247,58 @@ def _spread(
         )
 
 
+def _without_keyed(
+    words: Sequence[str], options: Iterable[Option]
+) -> tuple[list[str], list[tuple[tuple[str, ...], Any]]]:
+    """The words without those of keyed options, and the paths and values of these."""
+    keyed = {
+        f"--{option.name.replace('_', '-')}.": option
+        for option in options
+        if option.keyed
+    }
+    left: list[str] = []
+    found: list[tuple[tuple[str, ...], Any]] = []
+    rest = iter(words)
+    for word in rest:
+        name, equals, value = word.partition("=")
+        start = f"{name.replace('_', '-').partition('.')[0]}."
+        if "." not in name or start not in keyed:
+            left.append(word)
+            continue
+        option = keyed[start]
+        key = name.partition(".")[2].replace("-", "_")
+        text = value if equals else next(rest, None)
+        if text is None:
+            raise UsageError(f"{name} needs a value.")
+        assert option.keyed is not None
+        keys = key.split(".") if "." in option.keyed.key else [key]
+        found.append(((*option.path, *keys), _plain_value(text)))
+    return left, found
+
+
+def _plain_value(text: str) -> Any:
+    """A number, true, false or a list as in JSON; any other text as it is."""
+    try:
+        return json.loads(text)
+    except ValueError:
+        return text
+
+
 def _fields(
     owner: type[Any],
 ) -> Iterator[tuple[dataclasses.Field[Any], Any, tuple[Any, ...]]]:
     """Fields of a dataclass with their types and the marks of their annotations."""
-    hints = typing.get_type_hints(owner, include_extras=True)
     for field in dataclasses.fields(owner):
-        hint = hints[field.name]
+        hint = hints_of(owner)[field.name]
         marks: tuple[Any, ...] = ()
         if typing.get_origin(hint) is Annotated:
             hint, *rest = typing.get_args(hint)
             marks = tuple(rest)
         yield field, hint, marks
+
+
+def _mark(marks: tuple[Any, ...], kind: type[Any]) -> Any:
+    return next((mark for mark in marks if isinstance(mark, kind)), None)
 
 
 def _default(field: dataclasses.Field[Any]) -> Any:
@@ -274,7 +317,7 @@ def _build(owner: type[Any], values: Mapping[str, Any]) -> Any:
     """A specification from nested mappings of its values."""
     made: dict[str, Any] = {}
     for field, hint, marks in _fields(owner):
-        many = next((mark for mark in marks if isinstance(mark, OptionsOf)), None)
+        many = _mark(marks, OptionsOf)
         if many is not None:
             made[field.name] = dict(_given(many, values.get(field.name, {})))
         elif field.name not in values:
@@ -287,13 +330,14 @@ def _build(owner: type[Any], values: Mapping[str, Any]) -> Any:
 
 
 def _given(many: OptionsOf, values: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
-    for field, _, marks in _fields(many.owner):
-        if field.name in values:
-            flag = next((mark for mark in marks if isinstance(mark, Flag)), Flag())
-            value = values[field.name]
-            spread = flag.kind is not None and dataclasses.is_dataclass(flag.kind)
-            kind: Any = flag.kind
-            yield field.name, kind(**value) if spread else value
+    """The given entries of a mapping; dataclasses are made of their fields."""
+    kinds = {
+        flag.name or field.name: flag.kind
+        for field, _, marks in _fields(many.owner)
+        if (flag := _mark(marks, Flag)) and dataclasses.is_dataclass(flag.kind)
+    }
+    for name, value in values.items():
+        yield name, kinds[name](**value) if name in kinds else value
 
 
 def _in_words(value: Any) -> str:

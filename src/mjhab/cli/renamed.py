@@ -1,30 +1,67 @@
-"""Options with a new name: the old one is read for one version, with a line that says the new one."""
+"""Command lines in an old form: read for one version, with a line on stderr that says the new one."""
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 
-RENAMED: Mapping[str, Mapping[str, str]] = {
-    "eval": {"--starts": "--spawn-rule"},
-    "generate": {"--starts": "--spawn-rule"},
-    "view": {"--starts": "--spawn-rule"},
-    "train": {"--starts": "--spawn-rule"},
+WORDS: Mapping[str, Mapping[str, str]] = {
+    "score": {
+        "--check": "score check",
+        "--table": "score table",
+        "--starts": "score starts",
+    },
+    "doctor": {"--estimate": "estimate"},
 }
-"""Old to new names, by the first word of the command."""
+"""Options that became commands, by the command that had them."""
+SPAWN_RULE = {"--starts": "--spawn-rule"}
+OPTIONS: Mapping[str, Mapping[str, str]] = {
+    "score check": {"--check-seed": "--seed"},
+    "estimate": {"--num-envs": "--worlds"},
+}
+"""Old to new names of options, by command; those of `SPAWN_RULE` are of all commands that know the new one."""
 
 
-def with_new_names(args: Sequence[str]) -> list[str]:
-    """A command line with the new names of its options; a line on stderr says what changed."""
-    new = RENAMED.get(args[0], {})
-    found = []
-    for word in args:
+def with_command(words: Sequence[str]) -> list[str]:
+    """A command line whose first words name the command of today."""
+    for number, word in enumerate(words):
+        name, equals, value = word.partition("=")
+        new = WORDS.get(words[0], {}).get(name)
+        if new is not None:
+            _tell(f"mjhab {words[0]} {name}", f"mjhab {new}")
+            rest = [*words[1:number], *([value] if equals else []), *words[number + 1 :]]
+            return [*new.split(), *rest]
+    return list(words)
+
+
+def with_own_options(
+    command: str, words: Sequence[str], names: Collection[str]
+) -> list[str]:
+    """The words behind the name of a command, with the names that its options have today.
+
+    Args:
+        command: its name.
+        words: behind it.
+        names: of its options, without dashes, with underscores.
+    """
+    known = {f"--{name.replace('_', '-')}" for name in names}
+    new = {
+        old: name
+        for old, name in {**SPAWN_RULE, **OPTIONS.get(command, {})}.items()
+        if old not in known and name in known
+    }
+    found: list[str] = []
+    for word in words:
         name, equals, value = word.partition("=")
         if name in new:
-            print(
-                f"mjhab: {name} is called {new[name]} now; the old name goes with the next version.",
-                file=sys.stderr,
-            )
+            _tell(name, new[name])
             word = f"{new[name]}{equals}{value}"
         found.append(word)
     return found
+
+
+def _tell(old: str, new: str) -> None:
+    print(
+        f"mjhab: {old} is now {new}; the old form goes with the next version.",
+        file=sys.stderr,
+    )

@@ -18,12 +18,12 @@ from mjhab.config.profiles import (
     Profile,
     profile_named,
 )
-from mjhab.config.ranges import whole_number
 from mjhab.core.conventions.names import AXES, JOINT_ANGLES, WRAPPED, Conventions
 from mjhab.core.errors import UsageError, unknown_name
+from mjhab.core.typed.bounds import SEED, Bound
 from mjhab.core.typed.checks import check
-from mjhab.core.typed.flags import Flag
-from mjhab.core.typed.options import take_types
+from mjhab.core.typed.flags import Flag, Keyed
+from mjhab.core.typed.options import take_options
 from mjhab.robots.registry import DEFAULT_ROBOT, robot_named
 from mjhab.robots.robot import Robot
 from mjhab.scenes.pack_source import HOME_SUFFIXES, Assets, PackRequest, pack_request
@@ -48,16 +48,6 @@ REWARD_MODES = ("pointer", "sparse", *DENSE_MODES, "none")
 NAVIGATE_MODES = ("teleport", "drive")
 OF_PROFILE: Any = None
 """Default of the options whose value the profile determines."""
-WHOLE_NUMBERS = (
-    "num_envs",
-    "seed",
-    "threads",
-    "horizon",
-    "episode_pool",
-    "starts",
-    "frame_stack",
-)
-"""Options that are whole numbers, see `config.ranges`."""
 _LIMITS = tuple(part.name for part in dataclasses.fields(SubtaskConfig))
 
 
@@ -85,7 +75,7 @@ class EnvConfig:
     whole task, a chain of subtasks."""
     target: Annotated[str, Flag(shown="default: all of them")] = ""
     """With a subtask: the object or link to act on, e.g. 024_bowl or kitchen_counter/drawer3; "" or "all" for any."""
-    num_envs: Annotated[int, Flag("worlds")] = 1
+    num_envs: Annotated[int, Flag("worlds"), Bound(1, 10_000_000)] = 1
     """Number of parallel worlds. Changes the speed, never the results."""
     split: Annotated[str, Flag(metavar="train|val|test")] = "train"
     """Which homes to draw from: train, val or test."""
@@ -101,23 +91,23 @@ class EnvConfig:
     extra_objects: tuple[str, ...] = ()
     """Types of further objects, one slot each behind those of the task's roster. A target that is another object of the
     pack gets a slot, too."""
-    seed: int = 0
+    seed: Annotated[int, SEED] = 0
     """Seed of the run; seed and index determine an episode. In an evaluation the global generators of Python, numpy and
     torch begin from it, too, for policies that draw from them."""
-    threads: int = 0
+    threads: Annotated[int, Bound(most=1024)] = 0
     """Threads of physics and rendering; 0 takes all cores. Changes the speed, never the results."""
     obs_mode: Annotated[str, Flag("obs", "MODE")] = "state"
     """Observation mode: state, proprioception, depth, rgb, rgbd, seg, pointcloud, or several joined by +, see
     `envs.observations.modes`."""
     cameras: tuple[str, ...] = OF_PROFILE
     """Names of the robot's cameras, or one name; by default those of the profile, else all."""
-    camera_size: int | tuple[int, int] = 128
+    camera_size: Annotated[int | tuple[int, int], Bound(1, 4096)] = 128
     """Pixels of the camera images: their side, or height and width."""
     obs_keys: Annotated[str, Flag(hidden=True)] = FLAT
     """Keys of observations: "flat" as in ``obs["extra/is_grasped"]``, "nested" as in ``obs["extra"]["is_grasped"]``, or
     "whole": the state as one vector, ``obs["state"]``, without its parts. Recorders take flat keys, wrappers flat or
     whole."""
-    frame_stack: Annotated[int, Flag(hidden=True)] = OF_PROFILE
+    frame_stack: Annotated[int, Flag(hidden=True), Bound(1, 256)] = OF_PROFILE
     """Frames that `wrappers.FrameStack` stacks; 1 leaves the number to the wrapper's argument."""
     control_mode: Annotated[str, Flag("control", "MODE")] = "pd_joint_delta_pos"
     """Control mode of the actions, e.g. pd_ee_delta_pose, see `controllers.make_controller`."""
@@ -128,9 +118,9 @@ class EnvConfig:
     reward_mode: Annotated[str, Flag("reward", "MODE")] = ""
     """The reward: pointer, sparse, dense, normalized_dense or none; "" is pointer for a whole task, sparse for one
     subtask."""
-    reward_scales: Annotated[Mapping[str, Mapping[str, float]], Flag(hidden=True)] = (
-        field(default_factory=dict)
-    )
+    reward_scales: Annotated[
+        Mapping[str, Mapping[str, float]], Keyed("SUBTASK.TERM", "NUMBER")
+    ] = field(default_factory=dict)
     """Changes of the scales of single dense reward terms, as {"pick": {"reach": 4.0}}."""
     reward_formula: Annotated[str, Flag(metavar="bounded|published")] = OF_PROFILE
     """How dense reward terms are computed, see `tasks.scoring.RewardOptions`."""
@@ -144,7 +134,7 @@ class EnvConfig:
     continuous: bool | None = None
     """One subtask runs to its horizon and success may come and go; False ends it at success or failure. None: True for
     one subtask, False for a whole task."""
-    overrides: Annotated[Mapping[str, Any], Flag(hidden=True)] = field(
+    overrides: Annotated[Mapping[str, Any], Keyed("THRESHOLD")] = field(
         default_factory=dict
     )
     """Other values of `tasks.thresholds.TaskConfig`, as {"goal_type": "cylinder", "pick.force_limit": 2000}."""
@@ -153,7 +143,7 @@ class EnvConfig:
     episode_pool: int = 0
     """0 gives every reset an arrangement of objects of its own; n draws one of n, so that a long training finds them in
     the cache. Where the robot starts is drawn anew each time all the same."""
-    open_start: Annotated[float, Flag(metavar="SHARE")] = 0.0
+    open_start: Annotated[float, Flag(metavar="SHARE"), Bound(most=1)] = 0.0
     """Share of the resets of Open that find a drawer already 20 % of the way to open."""
     spawn_rule: Annotated[str, Flag(metavar="front_box|published")] = OF_PROFILE
     """Start positions of Pick and Place at a drawer or fridge, and start posture of the arm in Place, see
@@ -192,7 +182,9 @@ class EnvConfig:
     """Device of backend warp: "" for the first GPU; "cpu" is slow, for tests. Backend cpu takes no other than these."""
     starts: Annotated[int, Flag(hidden=True)] = 0
     """With backend warp: how many precomputed starts worlds draw from; 0: by the number of worlds."""
-    buffers: Annotated[Mapping[str, int], Flag(hidden=True)] = field(default_factory=dict)
+    buffers: Annotated[Mapping[str, int], Keyed("NAME", "N")] = field(
+        default_factory=dict
+    )
     """With backend warp: other sizes of the engine's buffers, see `BufferSizes`."""
 
     def __post_init__(self) -> None:
@@ -203,7 +195,7 @@ class EnvConfig:
             )
         if isinstance(self.cameras, str):
             object.__setattr__(self, "cameras", (self.cameras,))
-        take_types(self)
+        take_options(self)
         if self.target == "all":
             object.__setattr__(self, "target", "")
         self._take_home_file()
@@ -241,7 +233,7 @@ class EnvConfig:
                     )
         for name in (self.subtask,) if self.subtask else task.subtasks:
             robot.require(SUBTASKS[name].joint_groups, f"subtask {name!r}")
-        self._check_numbers()
+        self._check_backend()
 
     def of_profile(self) -> dict[str, Any]:
         """The profile's name and the values in force of the options that depend on it, for the record of a run."""
@@ -302,22 +294,13 @@ class EnvConfig:
                 "reward_mode 'pointer' counts the subtasks of a chain; a single one takes 'sparse'."
             )
 
-    def _check_numbers(self) -> None:
+    def _check_backend(self) -> None:
         for name in ("starts", "buffers"):
             if self.backend == "cpu" and getattr(self, name):
                 raise UsageError(
                     f"{name} is an option of backend 'warp'; leave it out with backend 'cpu'."
                 )
         check_device(self.backend, self.device)
-        size = self.camera_size
-        for pixels in size if isinstance(size, tuple) else (size,):
-            whole_number("camera_size", pixels)
-        for name in WHOLE_NUMBERS:
-            whole_number(name, getattr(self, name))
-        if not 0.0 <= self.open_start <= 1.0:
-            raise UsageError(
-                f"open_start is a share of resets between 0 and 1, got {self.open_start!r}"
-            )
 
     @property
     def reward(self) -> str:

@@ -12,11 +12,11 @@ import numpy as np
 from gymnasium.vector import VectorEnv
 
 from mjhab.config.env import DENSE_MODES, EnvConfig
-from mjhab.config.ranges import whole_number
 from mjhab.core.arrays import Array, may_hold
 from mjhab.core.errors import UsageError, shown
 from mjhab.core.joints import BASE_XY
 from mjhab.core.typed.checks import check
+from mjhab.core.typed.options import taken
 from mjhab.envs.loop import TaskLoop
 from mjhab.envs.parts.memory import check_memory
 from mjhab.envs.parts.nav_distance import NavDistance
@@ -95,7 +95,7 @@ class SequentialTaskEnv(TaskLoop, VectorEnv):
             return
         given = _listed(seed)
         seeds = [
-            None if each is None else whole_number("seed", each)
+            None if each is None else taken(EnvConfig, "seed", each)
             for each in ([seed] * self.num_envs if given is None else given)
         ]
         check(

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mjhab.config.env import EnvConfig
+from mjhab.config.env_spec import env_names
 from mjhab.core.errors import UsageError, unknown_name
 from mjhab.core.version import __version__
 from mjhab.evaluation.global_random import SeededGlobals
@@ -27,7 +28,7 @@ from mjhab.evaluation.resolve import (
     PolicyOptions,
     open_policy,
 )
-from mjhab.evaluation.specs import EvalSpec, PolicyLike, env_names
+from mjhab.evaluation.specs import EvalSpec, PolicyLike
 from mjhab.reports.metrics import (
     AloneRates,
     alone_rates,

@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 import dataclasses
-import typing
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Self, cast
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 from mjhab.config.env import EnvConfig
-from mjhab.config.ranges import range_of, whole_number
+from mjhab.config.env_spec import EnvSpec
 from mjhab.core.errors import UsageError, unknown_name
-from mjhab.core.typed.flags import Flag, OptionsOf, flag_of
-from mjhab.core.typed.options import fitting, take_types
+from mjhab.core.typed.bounds import Bound, Output
+from mjhab.core.typed.flags import Flag, OptionsOf
+from mjhab.core.typed.options import fitting, taken
 from mjhab.evaluation.resolve import check_style, full_spec
 from mjhab.robots.registry import robot_named
 from mjhab.robots.robot import Robot
@@ -33,98 +32,12 @@ PolicyName = Annotated[
 ]
 
 
+MAX_EPISODES = 100_000_000
 OfEnv = Annotated[
     Mapping[str, Any],
     OptionsOf(EnvConfig, apart=RUN_BY_EVALUATION, defaults={"num_envs": 8}),
 ]
 OfServer = Annotated[Mapping[str, Any], OptionsOf(Address, apart=frozenset({"uri"}))]
-
-
-def env_mark(spec_type: type[Any]) -> OptionsOf:
-    """What the annotation of ``env`` of a specification says."""
-    hints = typing.get_type_hints(spec_type, include_extras=True)
-    _, *marks = typing.get_args(hints["env"])
-    return next(mark for mark in marks if isinstance(mark, OptionsOf))
-
-
-def env_names(spec_type: type[Any]) -> dict[str, str]:
-    """Names of the environment options of a specification, those of the command line, too, to those of `EnvConfig`."""
-    many = env_mark(spec_type)
-    names: dict[str, str] = {}
-    for option in dataclasses.fields(many.owner):
-        if option.name in many.apart:
-            continue
-        names[option.name] = option.name
-        flag = flag_of(many.owner, option.name)
-        if flag.name:
-            names[flag.name] = option.name
-    return names
-
-
-class EnvSpec:
-    """What specifications with a mapping ``env`` of given `EnvConfig` fields have in common."""
-
-    env: Mapping[str, Any]
-
-    @classmethod
-    def of(cls, *args: Any, **options: Any) -> Self:
-        """Make a specification of options that mix its own fields and those of `EnvConfig`.
-
-        Args:
-            *args: own fields, in order.
-            **options: by name; ``out`` may be a string; environment options also by their names on the command line,
-                such as ``worlds``.
-
-        Raises:
-            UsageError: an option is unknown or invalid; see the class.
-        """
-        own = {f.name for f in dataclasses.fields(cast(Any, cls))}
-        further = {name: value for name, value in options.items() if name not in own}
-        known = {name: value for name, value in options.items() if name in own}
-        if further or "env" in known:
-            known["env"] = {**_mapping(known.get("env")), **further}
-        if isinstance(known.get("out"), str):
-            known["out"] = Path(known["out"])
-        return cls(*args, **known)
-
-    def _take_env(self, what: str) -> None:
-        """Give the environment options the names of `EnvConfig`, leave out those that are None, and check them.
-
-        Raises:
-            UsageError: an option is unknown or invalid.
-        """
-        names = env_names(type(self))
-        own = [f.name for f in dataclasses.fields(cast(Any, self)) if f.name != "env"]
-        env: dict[str, Any] = {}
-        for name, value in _mapping(self.env).items():
-            if name not in names:
-                raise unknown_name(f"option of {what}", name, sorted({*names, *own}))
-            if value is not None:
-                env[names[name]] = value
-        if "num_envs" in env:
-            whole_number("worlds", env["num_envs"])
-        object.__setattr__(self, "env", env)
-        if "assets" in env:
-            env["assets"] = self.asked.assets
-
-    @cached_property
-    def asked(self) -> EnvConfig:
-        """The environment as it was asked for, without the options that the policy needs."""
-        return EnvConfig(**{**self.env_defaults, **self.env})
-
-    @property
-    def env_defaults(self) -> Mapping[str, Any]:
-        """Defaults of environment options that differ from those of `EnvConfig`."""
-        return env_mark(type(self)).defaults
-
-
-def _mapping(env: Any) -> Mapping[str, Any]:
-    """The options of an environment that were given.
-
-    Raises:
-        UsageError: they are no mapping with texts as keys.
-    """
-    return fitting("env", Mapping[str, Any], {} if env is None else env)
 
 
 @dataclass(frozen=True)
@@ -145,6 +58,9 @@ class EvalSpec(EnvSpec):
         UsageError: a name is unknown, a number out of range, or options exclude each other.
     """
 
+    WHAT: ClassVar[str] = "an evaluation"
+    APART: ClassVar[frozenset[str]] = frozenset({"policy", "served"})
+
     policy: PolicyName = "expert"
     """The policy: expert (scripted, reads the simulator state), student (a trained one of the package, with --subtask
     and --target), random, zero (stands still), a CHECKPOINT.safetensors, POLICIES.json with one policy per
@@ -160,19 +76,20 @@ class EvalSpec(EnvSpec):
     ] = ""
     """With a subtask: tell the policy this sentence in place of the episodes' own, e.g. "shut the drawer". For a
     student that was trained with sentences (see docs/training.md) and for a served policy."""
-    episodes: int = 20
+    episodes: Annotated[int, Bound(1, MAX_EPISODES)] = 20
     """Number of episodes, with indices 0 to N-1. The same index is the same episode for every policy."""
     env: OfEnv = field(default_factory=dict)
     """Options of the environment, fields of `EnvConfig`; they take precedence over those that the policy needs."""
     served: OfServer = field(default_factory=dict)
     """With a served policy: how it is asked, fields of `serving.address.Address`."""
-    films: int = 4
+    films: Annotated[int, Bound(most=10_000)] = 4
     """Film the first N episodes; 0 for none."""
     out: Annotated[
         Path | None,
         Flag(
             metavar="FOLDER", shown="default: runs/<task>_<subtask>_<policy>_seed<seed>"
         ),
+        Output(),
     ] = None
     """Folder of the results."""
     resume: bool = False
@@ -183,8 +100,7 @@ class EvalSpec(EnvSpec):
     """Folders of runs of single subtasks, whose success rates give the upper bound of progressive completion."""
 
     def __post_init__(self) -> None:
-        take_types(self, {"policy", "env", "served", "episodes", "films"})
-        self._take_env("an evaluation")
+        super().__post_init__()
         asked = self.asked
         check_style(self.policy, self.style)
         if asked.target and not asked.subtask:
@@ -195,10 +111,6 @@ class EvalSpec(EnvSpec):
             raise UsageError(
                 "an instruction needs a subtask: in a whole task every subtask has a sentence of its own."
             )
-        object.__setattr__(self, "films", whole_number("films", self.films))
-        object.__setattr__(
-            self, "episodes", whole_number("episodes", self.episodes, least=1)
-        )
         object.__setattr__(self, "policy", named_policy(self.policy, asked, self.served))
 
 
@@ -225,7 +137,10 @@ class GenerateSpec(EnvSpec):
         UsageError: a name is unknown, a number out of range, a filter invalid, or options exclude each other.
     """
 
-    out: Annotated[Path, Flag(metavar="FOLDER")]
+    WHAT: ClassVar[str] = "a data set"
+    APART: ClassVar[frozenset[str]] = frozenset({"policy"})
+
+    out: Annotated[Path, Flag(metavar="FOLDER"), Output()]
     """Folder of the shards."""
     policy: PolicyName = "expert"
     """The policy, as in `mjhab eval`."""
@@ -237,7 +152,11 @@ class GenerateSpec(EnvSpec):
     """Episodes to keep per target (in total for whole tasks and Navigate); 0 for no limit."""
     per_label: int = 0
     """Episodes to keep per target and label; 0 for no limit."""
-    episodes: Annotated[int | None, Flag(shown="default: 20 times those to keep")] = None
+    episodes: Annotated[
+        int | None,
+        Flag(shown="default: 20 times those to keep"),
+        Bound(1, MAX_EPISODES),
+    ] = None
     """Try at most the episodes 0 to N-1; needed without a number per target."""
     keep: Annotated[str | None, Flag(metavar="FILTER", shown="default: all")] = None
     """Which episodes to keep, as in `mjhab data query`."""
@@ -265,11 +184,11 @@ class GenerateSpec(EnvSpec):
         tuple[str, ...] | None, Flag(metavar="NAME ...", shown="default: all")
     ] = None
     """Cameras of the robot whose images are stored."""
-    camera_size: int | tuple[int, int] = 128
+    camera_size: Annotated[int | tuple[int, int], Bound(1, 4096)] = 128
     """Pixels of the stored images: their side, or height and width."""
     rgb: Annotated[str, Flag(metavar="png|jpeg")] = "png"
     """Format of colour images; png is lossless."""
-    workers: int = 0
+    workers: Annotated[int, Bound(most=256)] = 0
     """Number of processes to start; 0 takes this process (`mjhab generate`: one process). A script needs
     ``if __name__ == "__main__":`` for more. Changes the speed, never the results."""
     ray: Annotated[str | None, Flag(metavar="ADDRESS", shown="default: none")] = None
@@ -281,24 +200,16 @@ class GenerateSpec(EnvSpec):
         # Here: the help of a command waits neither for gymnasium nor for h5py.
         from mjhab.data.select.until import Until
 
-        apart = {"policy", "env", "per_target", "per_label", "workers", "episodes"}
-        take_types(self, apart | {"camera_size"})
-        self._take_env("a data set")
+        super().__post_init__()
         object.__setattr__(self, "policy", named_policy(self.policy, self.asked, {}))
         Until.parse(self.until)
         robot = robot_named(self.asked.robot)
         if self.cameras is None:
             object.__setattr__(self, "cameras", robot.camera_names)
-        for name in ("per_target", "per_label", "workers"):
-            object.__setattr__(self, name, whole_number(name, getattr(self, name)))
         if self.episodes is None and not self.per_target:
             raise UsageError(
                 "the number of episodes is missing: give per_target (episodes to keep per target) or episodes "
                 "(episodes to try)."
-            )
-        if self.episodes is not None:
-            object.__setattr__(
-                self, "episodes", whole_number("episodes", self.episodes, least=1)
             )
         self.as_evaluation()
         self.filter()
@@ -330,8 +241,7 @@ class GenerateSpec(EnvSpec):
         """Largest number of episodes to try."""
         if self.episodes is not None:
             return self.episodes
-        _, most = range_of("episodes")
-        return min(most, TRIES_PER_EPISODE * MAX_TARGETS * self.per_target)
+        return min(MAX_EPISODES, TRIES_PER_EPISODE * MAX_TARGETS * self.per_target)
 
     def filter(self) -> Filter | None:
         """The filter of ``keep`` and ``preset``; None keeps every episode."""
@@ -345,8 +255,22 @@ class GenerateSpec(EnvSpec):
             policy=self.policy,
             style=self.style,
             episodes=self.max_tries,
-            env={**self.env_defaults, **self.env},
+            env=self.env_options,
         )
+
+
+def given_to_server(served: Mapping[str, Any]) -> dict[str, Any]:
+    """The options of a served policy that were given, checked.
+
+    Raises:
+        UsageError: an option is unknown or invalid.
+    """
+    known = [field.name for field in dataclasses.fields(Address)]
+    for name in served:
+        if name not in known:
+            raise unknown_name("option of a served policy", name, known)
+    given = {name: value for name, value in served.items() if value is not None}
+    return {name: taken(Address, name, value) for name, value in given.items()}
 
 
 def named_policy(
@@ -359,7 +283,8 @@ def named_policy(
     """
     if not isinstance(policy, str):
         return policy
-    given = {name: value for name, value in served.items() if value is not None}
+    policy = fitting("policy", str, policy)
+    given = given_to_server(served)
     return full_spec(
         with_options(policy, given),
         asked.task,

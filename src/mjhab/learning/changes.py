@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Any, TypeVar
 
 from mjhab.core.errors import UsageError, unknown_name
-from mjhab.core.typed.bounds import Bound, bound_of
+from mjhab.core.typed.bounds import Bound
 from mjhab.core.typed.flags import mark_of
 from mjhab.learning.configs import TrainConfig
 
@@ -97,12 +97,12 @@ def _full(config: Any, name: str) -> str:
     return f"{STUDENT}.{name}" if inside else name
 
 
-def _bound(config: Any, name: str) -> Bound:
-    """What values a field may have."""
+def _bound(config: Any, name: str) -> Bound | None:
+    """What values a field may have; None for the usual ones: whole numbers from 1, others from 0, tuples with items."""
     *parts, field = _full(config, name).split(".")
     for part in parts:
         config = getattr(config, part)
-    return bound_of(type(config), field)
+    return mark_of(type(config), field, Bound)
 
 
 def _split(word: str, known: Mapping[str, Any]) -> tuple[str, str]:
@@ -132,7 +132,7 @@ def _with_values(config: Any, values: Mapping[str, Any]) -> Any:
     return dataclasses.replace(config, **own)
 
 
-def _read(name: str, text: str, like: Any, bound: Bound) -> Any:
+def _read(name: str, text: str, like: Any, bound: Bound | None) -> Any:
     """The value of a text, of the type of ``like``.
 
     Raises:
@@ -140,7 +140,7 @@ def _read(name: str, text: str, like: Any, bound: Bound) -> Any:
     """
     if isinstance(like, tuple):
         items = [item for item in text.split(",") if item]
-        if not items and not bound.empty:
+        if not items and (bound is None or not bound.empty):
             raise UsageError(f"--set {name}: give at least one value.")
         return tuple(
             _read(name, item, like[0], bound) if like else item for item in items
@@ -162,7 +162,7 @@ def _read(name: str, text: str, like: Any, bound: Bound) -> Any:
     return value
 
 
-def _check(told: str, value: Any, bound: Bound) -> None:
+def _check(told: str, value: Any, bound: Bound | None) -> None:
     """Refuse a number that is too small or not finite.
 
     Raises:
@@ -170,7 +170,8 @@ def _check(told: str, value: Any, bound: Bound) -> None:
     """
     if isinstance(value, bool) or not isinstance(value, int | float):
         return
-    least = bound.least_of(value)
+    usual = 1 if isinstance(value, int) else 0
+    least = usual if bound is None else bound.least
     # Whole numbers of any size are finite; math.isfinite would not take large ones.
     if not (least <= value < math.inf and value > -math.inf):
         raise UsageError(f"{told} must be at least {least}, and finite; got {value}.")

@@ -9,6 +9,7 @@ from typing import Annotated
 from urllib.parse import parse_qsl, urlencode, urlsplit, urlunsplit
 
 from mjhab.core.errors import UsageError, unknown_name
+from mjhab.core.typed.bounds import Bound
 from mjhab.core.typed.checks import check, check_least
 from mjhab.core.typed.flags import Flag
 from mjhab.serving.dialects.names import dialect_named
@@ -32,7 +33,7 @@ class Address:
     """Where the server is: ws://host:port."""
     dialect: Annotated[str, Flag(metavar="openpi|roboarena|behavior")] = "openpi"
     """With --policy ws://host:port: message format of the server, see `serving.dialects`."""
-    execute: int = 8
+    execute: Annotated[int, Bound(1)] = 8
     """With --policy ws://host:port: actions of a chunk that are executed before the next request."""
     prompt: Annotated[str, Flag(metavar="subtask|task")] = "subtask"
     """With --policy ws://host:port: instruction in requests: of the active subtask, or of the whole task."""

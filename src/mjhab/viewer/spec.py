@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, ClassVar
 
 from mjhab.config.env import EnvConfig
-from mjhab.config.ranges import whole_number
+from mjhab.config.env_spec import EnvSpec
 from mjhab.core.errors import UsageError
+from mjhab.core.typed.bounds import Bound, Output
 from mjhab.core.typed.flags import Flag, OptionsOf, flag_of
-from mjhab.evaluation.specs import NOT_GENERATED, RUN_BY_EVALUATION, EnvSpec, EvalSpec
+from mjhab.evaluation.specs import NOT_GENERATED, RUN_BY_EVALUATION, EvalSpec
 from mjhab.tasks.household.registry import TASKS
 from mjhab.tasks.subtasks.registry import SUBTASKS
 
@@ -39,6 +40,8 @@ class ViewSpec(EnvSpec):
         UsageError: an option is invalid, or is for running worlds where shards are given, or the other way.
     """
 
+    WHAT: ClassVar[str] = "the viewer"
+
     places: Annotated[
         tuple[Path, ...], Flag(metavar="[SHARD|FOLDER ...]", positional=True)
     ] = ()
@@ -64,20 +67,21 @@ class ViewSpec(EnvSpec):
     """With recorded episodes: only these, as in `mjhab data query`."""
     preset: Annotated[str | None, Flag(metavar="NAME", shown="default: none")] = None
     """With recorded episodes: a filter with a name, see `mjhab data fields`."""
-    record: Annotated[Path | None, Flag(metavar="FILE.h5", shown="default: none")] = None
+    record: Annotated[
+        Path | None, Flag(metavar="FILE.h5", shown="default: none"), Output(".h5")
+    ] = None
     """With running worlds: record every finished episode in this shard; existing episodes in it are kept."""
-    export: Annotated[Path | None, Flag(metavar="FILE.html", shown="default: none")] = (
-        None
-    )
+    export: Annotated[
+        Path | None, Flag(metavar="FILE.html", shown="default: none"), Output(".html")
+    ] = None
     """Write a recorded episode as a self-contained page instead of serving."""
     host: Annotated[str, Flag(metavar="ADDRESS")] = "localhost"
     """Address to listen on. With addresses other than localhost, everybody who can reach this machine can drive."""
-    port: int = 8080
+    port: Annotated[int, Bound(most=65_535)] = 8080
     """Port to listen on; if it is in use, the next free one is used and printed."""
 
     def __post_init__(self) -> None:
-        self._take_env("the viewer")
-        whole_number("episode", self.episode)
+        super().__post_init__()
         for name in self._without_effect():
             shown = f"--{name.replace('_', '-')}"
             if self.places:

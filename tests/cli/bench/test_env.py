@@ -9,8 +9,7 @@ import pytest
 
 from mjhab.bench.environments.stages import STAGES
 from mjhab.cli.main import main
-from mjhab.cli.options.env import EnvsDescribeOptions
-from mjhab.cli.worlds.envs import description
+from mjhab.cli.worlds.envs import EnvsDescribeSpec, description
 from mjhab.envs.catalog import env_ids
 from tests.examples.plugins import loaded
 
@@ -81,7 +80,7 @@ def test_the_goal_is_explained_by_the_spec_of_the_subtask(
     env: str, key: str, told: str
 ) -> None:
     with loaded("push"):
-        options = EnvsDescribeOptions(f"mjhab/{env}SubtaskTrain-v1")
+        options = EnvsDescribeSpec(f"mjhab/{env}SubtaskTrain-v1")
         rows = {
             row["key"]: row["meaning"] for row in description(options)["observations"]
         }

@@ -26,8 +26,8 @@ from mjhab.bench.experts.rows import (
     result_of,
     together,
 )
+from mjhab.bench.specs import ExpertsSpec
 from mjhab.cli.main import main
-from mjhab.cli.options.expert import BenchExpertsOptions
 from mjhab.core.errors import MjhabError
 from mjhab.rollout.records import EpisodeRecord, PlanEntry
 
@@ -177,10 +177,8 @@ def test_a_stopped_run_goes_on_to_the_same_table(
     )
 
 
-def _options(out: Path) -> BenchExpertsOptions:
-    return BenchExpertsOptions(
-        out=out, task=("set_table",), subtask=("open",), episodes=2
-    )
+def _options(out: Path) -> ExpertsSpec:
+    return ExpertsSpec(out=out, task=("set_table",), subtask=("open",), episodes=2)
 
 
 def test_a_row_that_fails_does_not_stop_the_others(
@@ -188,7 +186,7 @@ def test_a_row_that_fails_does_not_stop_the_others(
 ) -> None:
     measure = bench_experts.measure_row
 
-    def broken(options: BenchExpertsOptions, row: ExpertRow, *more: Any) -> Any:
+    def broken(options: ExpertsSpec, row: ExpertRow, *more: Any) -> Any:
         if row.target == "kitchen_counter/drawer3":
             raise MjhabError("no luck")
         return measure(options, row, *more)
@@ -206,7 +204,7 @@ def test_a_row_that_fails_does_not_stop_the_others(
 
 
 def test_rows_of_the_whole_table() -> None:
-    rows = make_rows(BenchExpertsOptions())
+    rows = make_rows(ExpertsSpec())
     assert len({row.name for row in rows}) == len(rows) == 53
     singles = [row for row in rows if row.subtask != "chain"]
     assert len(singles) == 2 * (9 + 9 + 1) + (2 + 2 + 2 + 2 + 1) and {
@@ -222,21 +220,17 @@ def test_rows_of_the_whole_table() -> None:
         asked["set_table", "chain", ""] == 0.5
         and asked["tidy_house", "navigate", ""] is None
     )
-    few = make_rows(BenchExpertsOptions(target=("013_apple",), navigate=("drive",)))
+    few = make_rows(ExpertsSpec(target=("013_apple",), navigate=("drive",)))
     assert [(row.task, row.subtask) for row in few] == [
         ("set_table", "pick"),
         ("set_table", "place"),
     ]
-    only = make_rows(
-        BenchExpertsOptions(subtask=("chain",), navigate=("drive",), chains=5)
-    )
+    only = make_rows(ExpertsSpec(subtask=("chain",), navigate=("drive",), chains=5))
     assert [row.name for row in only] == [
         f"builtin/{task}_chain_drive"
         for task in ("tidy_house", "prepare_groceries", "set_table")
     ]
-    assert not [
-        row for row in make_rows(BenchExpertsOptions(chains=0)) if row.subtask == "chain"
-    ]
+    assert not [row for row in make_rows(ExpertsSpec(chains=0)) if row.subtask == "chain"]
 
 
 def test_what_a_row_says() -> None:
@@ -348,8 +342,8 @@ def test_bad_input_is_refused_before_anything_is_made(
         (("--split", "vall", *out), "Did you mean 'val'"),
         (("--assets", "builtin", "builtin", *out), "both 'builtin'"),
         (("--assets", str(tmp_path / "absent"), *out), "does not exist"),
-        (("--episodes", "-1", *out), "--episodes must be at least 0"),
-        (("--workers", "0", *out), "--workers must be at least 1"),
+        (("--episodes", "-1", *out), "episodes must be at least 0"),
+        (("--workers", "0", *out), "workers must be at least 1"),
         (("--episodes", "0", "--chains", "0", *out), "nothing to measure"),
         (("--subtask", "open", "--task", "tidy_house", *out), "nothing to measure"),
         (("--out", str(made)), "Give --resume"),

@@ -146,8 +146,8 @@ def test_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Non
     ("args", "message"),
     [
         (["--backend", "gpu"], "unknown backend 'gpu'"),
-        (["--worlds", "0"], "--worlds must be at least 1, got 0"),
-        (["--seeds", "0"], "--seeds must be at least 1, got 0"),
+        (["--worlds", "0"], "worlds must be at least 1, got 0"),
+        (["--seeds", "0"], "seeds must be at least 1, got 0"),
         (["--steps", "201"], "--steps must be at most 200"),
     ],
 )

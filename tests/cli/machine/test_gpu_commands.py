@@ -110,7 +110,7 @@ def test_estimate_command(
     monkeypatch.setattr(estimate, "available_mb", lambda: 3_000.0)
     monkeypatch.setattr(estimate, "gpu_free_mb", lambda: None)
     args = ["doctor", "--estimate", "--obs", "rgbd"]
-    assert main([*args, "--num-envs", "64", "--json"]) == 0
+    assert main([*args, "--worlds", "64", "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
     cpu, warp = found["backends"]
     assert (cpu["backend"], cpu["fits"], warp["backend"], warp["fits"]) == (
@@ -119,16 +119,16 @@ def test_estimate_command(
         "warp",
         None,
     )
-    assert main([*args, "--num-envs", "4096"]) == 2
+    assert main([*args, "--worlds", "4096"]) == 2
     out = capsys.readouterr()
     assert (
         "4096 worlds do not fit: backend cpu needs" in out.err
-        and f"at most --num-envs {cpu['most']}" in out.err
+        and f"at most --worlds {cpu['most']}" in out.err
     )
     # Where the GPU has room, it is fine that this machine has not.
     monkeypatch.setattr(estimate, "gpu_free_mb", lambda: 80_000.0)
-    assert main([*args, "--num-envs", "4096"]) == 0
-    assert main([*args, "--num-envs", "0"]) == 2
+    assert main([*args, "--worlds", "4096"]) == 0
+    assert main([*args, "--worlds", "0"]) == 2
     assert main(["doctor", "--estimate", "--obs", "rgbx"]) == 2
     assert "unknown observation mode 'rgbx'" in capsys.readouterr().err
 
@@ -411,7 +411,7 @@ def test_parity_knows_which_subtasks_there_are(
         with pytest.raises(UsageError, match=said):
             bench_parity.pairs(**{"task": "set_table", "subtask": "pick"} | _named(wrong))
     assert parity_main(["--worlds", "0"]) == 2
-    assert "--worlds must be at least 1" in capsys.readouterr().err
+    assert "worlds must be at least 1" in capsys.readouterr().err
 
 
 def _named(args: list[str]) -> dict[str, str]:

@@ -396,7 +396,7 @@ def test_full_folder_is_refused_and_overwritten_on_demand(
         (("--split", "vla"), ("unknown split", "'val'", "train")),
         (("--target", "024_bowl"), ("target needs a subtask",)),
         (("--worlds", "0"), ("worlds must be at least 1, got 0",)),
-        (("--episodes", "-3"), ("episodes must be at least 0, got -3",)),
+        (("--episodes", "-3"), ("episodes must be at least 1, got -3",)),
         (("--seed", "-1"), ("seed must be at least 0",)),
         (("--films", "-1"), ("films must be at least 0",)),
         (("--resume", "--overwrite"), ("exclude each other",)),

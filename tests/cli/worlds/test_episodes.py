@@ -145,7 +145,7 @@ def test_wrong_orders_are_refused(
     assert "unknown split 'dev'" in refused(
         capsys, 2, "make", "--split", "dev", "--out", out
     )
-    assert "--count must be at least 1" in refused(
+    assert "count must be at least 1" in refused(
         capsys, 2, "make", "--count", "0", "--out", out
     )
     assert "unknown task" in refused(capsys, 2, "check", str(made), "--task", "tidy")

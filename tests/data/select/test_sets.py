@@ -320,7 +320,7 @@ def test_damage_fails_the_check_and_is_repaired(
     [
         (("query", "--where", "max_forse < 3"), "Did you mean 'max_force'"),
         (("query", "--preset", "pick"), "Did you mean 'pick_paper'"),
-        (("query", "--list", "-1"), "--list must be at least 0"),
+        (("query", "--list", "-1"), "list must be at least 0"),
         (
             ("split", "--out", "x", "--parts", "train"),
             "give names, each once, with shares",

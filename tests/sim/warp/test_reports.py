@@ -18,9 +18,8 @@ from mjhab.bench.environments import env as bench_env
 from mjhab.bench.environments.stages import STAGES
 from mjhab.bench.interact import run as bench_interact
 from mjhab.bench.interact.scene import InteractScene, interact_scene
+from mjhab.bench.specs import EnvBenchSpec
 from mjhab.cli.machine import warmup
-from mjhab.cli.options.env import BenchEnvOptions
-from mjhab.cli.options.gpu import WarmupOptions
 from mjhab.rollout.loop import rollout
 from mjhab.scenes import packs
 from mjhab.sim.warp.host_twin import HostTwin
@@ -138,8 +137,8 @@ def test_the_expert_acts_on_warp_by_itself(monkeypatch: pytest.MonkeyPatch) -> N
 
 def test_a_device_env_is_timed_stage_by_stage(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(pool, "LEAST", 2)
-    options = BenchEnvOptions(
-        env="mjhab/CloseSubtaskTrain-v1",
+    options = EnvBenchSpec.of(
+        id="mjhab/CloseSubtaskTrain-v1",
         obs="depth",
         reward="dense",
         backend="warp",
@@ -190,7 +189,7 @@ def test_warmup_compiles_all_of_a_device_env(monkeypatch: pytest.MonkeyPatch) ->
         "step",
         lambda env, actions: stepped.append(env.num_envs) or step(env, actions),
     )
-    seconds = warmup.warmup(WarmupOptions(task="set_table", device="cpu"), "warp")
+    seconds = warmup.warmup(warmup.WarmupSpec.of(task="set_table", device="cpu"), "warp")
     parts = ["2 homes", "rasterizer", "planning of the experts", "MuJoCo Warp"]
     assert list(seconds) == parts and stepped == [warmup.WORLDS]
 

@@ -15,7 +15,6 @@ from mjhab.bench.environments.stages import (
     watch_env,
 )
 from mjhab.bench.specs import EnvBenchSpec
-from mjhab.config.profile_choice import profile_options
 from mjhab.core.machine import resident_mb
 
 if TYPE_CHECKING:
@@ -37,8 +36,9 @@ def measure_device_env(spec: EnvBenchSpec, worlds: int) -> dict[str, Any]:
     """
     begun = time.perf_counter()
     env, wait = _make(spec, worlds)
-    env.reset(seed=spec.seed)
-    given = sway(worlds, spec.steps, spec.seed, len(env.action_table))
+    seed = spec.asked.seed
+    env.reset(seed=seed)
+    given = sway(worlds, spec.steps, seed, len(env.action_table))
     actions = [env.sim.qpos.new_tensor(row) for row in given]
     env.step(actions[0])
     wait()
@@ -80,19 +80,9 @@ def _make(spec: EnvBenchSpec, worlds: int) -> tuple[DeviceEnv, Callable[[], None
     from mjhab.envs import make_by_id
     from mjhab.sim.warp.probe import synchronize
 
-    extra = {"reward_mode": spec.reward, "task": spec.task}
-    env = make_by_id(
-        spec.env,
-        backend="warp",
-        device=spec.device,
-        num_envs=worlds,
-        obs_mode=spec.obs,
-        camera_size=spec.camera_size,
-        assets=spec.assets,
-        seed=spec.seed,
-        **{k: v for k, v in extra.items() if v is not None},
-        **profile_options(spec),
-    )
+    apart = ("backend", "threads")
+    options = {name: value for name, value in spec.env.items() if name not in apart}
+    env = make_by_id(spec.id, backend="warp", num_envs=worlds, **options)
     return env, lambda: synchronize(env.sim.device)
 
 

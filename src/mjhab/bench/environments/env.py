@@ -15,7 +15,6 @@ from mjhab.bench.environments.stages import (
     watch_env,
 )
 from mjhab.bench.specs import EnvBenchSpec
-from mjhab.config.profile_choice import profile_options
 from mjhab.core.machine import resident_mb
 from mjhab.sim.backends import check_device, resolve
 
@@ -33,8 +32,8 @@ def measure(spec: EnvBenchSpec) -> dict[str, Any]:
     Raises:
         UsageError: no such backend, or it has no such device.
     """
-    backend = resolve(spec.backend)
-    check_device(backend, spec.device)
+    backend = resolve(spec.asked.backend)
+    check_device(backend, spec.asked.device)
     if backend == "warp":
         from mjhab.bench.environments.device_env import measure_device_env as work
     else:
@@ -44,7 +43,7 @@ def measure(spec: EnvBenchSpec) -> dict[str, Any]:
         points.append(work(spec, worlds))
         gc.collect()  # the worlds of this point make room for the next
     best = max(points, key=lambda point: point["env_sps"])
-    return best | {"backend": backend, "profile": spec.profile, "points": points}
+    return best | {"backend": backend, "profile": spec.asked.profile, "points": points}
 
 
 def measure_env(spec: EnvBenchSpec, worlds: int) -> dict[str, Any]:
@@ -59,24 +58,14 @@ def measure_env(spec: EnvBenchSpec, worlds: int) -> dict[str, Any]:
     begun = time.perf_counter()
     from mjhab.envs import make_by_id
 
-    extra = {"reward_mode": spec.reward, "task": spec.task}
-    env = make_by_id(
-        spec.env,
-        num_envs=worlds,
-        obs_mode=spec.obs,
-        camera_size=spec.camera_size,
-        assets=spec.assets,
-        seed=spec.seed,
-        threads=spec.threads,
-        autoreset="disabled",
-        **{k: v for k, v in extra.items() if v is not None},
-        **profile_options(spec),
-    )
-    env.reset(seed=spec.seed)
-    actions = sway(worlds, spec.steps, spec.seed, len(env.action_table))
+    options = {**spec.env, "backend": "cpu", "device": ""}
+    seed = spec.asked.seed
+    env = make_by_id(spec.id, num_envs=worlds, autoreset="disabled", **options)
+    env.reset(seed=seed)
+    actions = sway(worlds, spec.steps, seed, len(env.action_table))
     env.step(actions[0])
     cold = time.perf_counter() - begun
-    sps = measure_sps(env, spec.steps, spec.rounds, spec.seed)
+    sps = measure_sps(env, spec.steps, spec.rounds, seed)
     stages, reset_ms = profile(env, actions)
     full = resident_mb()
     return {

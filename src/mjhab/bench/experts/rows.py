@@ -225,7 +225,7 @@ def _check(spec: ExpertsSpec) -> None:
         ("task", spec.task, TASKS),
         ("subtask", spec.subtask, (*SUBTASKS, CHAIN)),
         ("navigate mode", spec.navigate, NAVIGATE_MODES),
-        ("split", (spec.split,), SPLITS),
+        ("split", (spec.asked.split,), SPLITS),
     ):
         for name in given:
             if name not in valid:
@@ -241,9 +241,9 @@ def _packs(spec: ExpertsSpec) -> dict[str, str]:
             raise UsageError(
                 f"--assets {packs[pack.name]} and {assets} are both {pack.name!r}; measure them in two folders."
             )
-        if not any(home.split == spec.split for home in pack.homes):
+        if not any(home.split == spec.asked.split for home in pack.homes):
             raise UsageError(
-                f"--assets {assets} has no homes of the split {spec.split!r}; choose another --split."
+                f"--assets {assets} has no homes of the split {spec.asked.split!r}; choose another --split."
             )
         packs[pack.name] = assets
     return packs

@@ -24,7 +24,6 @@ from mjhab.bench.experts.rows import (
     together,
 )
 from mjhab.bench.specs import ExpertsSpec
-from mjhab.config.profile_choice import profile_options, resolved_profile
 from mjhab.core.errors import MjhabError
 from mjhab.core.files.run_folder import REPORT, RunFolder, write_text
 from mjhab.core.machine import cores
@@ -128,15 +127,15 @@ def measure_row(
         task=row.task,
         subtask=None if row.subtask == CHAIN else row.subtask,
         target=row.target or None,
-        seed=spec.seed,
-        split=spec.split,
+        seed=spec.asked.seed,
+        split=spec.asked.split,
         assets=row.assets,
         navigate=row.navigate or "teleport",
-        env=profile_options(spec),
+        env=spec.of_profile,
         episodes=row.episodes,
         states=False,
-        worlds=spec.worlds,
-        workers=max(1, min(spec.workers, row.episodes // spec.worlds)),
+        worlds=spec.asked.num_envs,
+        workers=max(1, min(spec.workers, row.episodes // spec.asked.num_envs)),
         resume=True,
     )
     return run_generation(wanted, tell, stopped).standing
@@ -158,11 +157,11 @@ def write_results(
 ) -> list[RowResult]:
     """Write every file of results for what is measured so far; returns the rows."""
     results = [
-        result_of(row, spec.split, found, errors.get(row, ""))
+        result_of(row, spec.asked.split, found, errors.get(row, ""))
         for row, found in measured.items()
     ]
     # Some targets alone are not what the paper's rows over all targets are about.
-    groups = [] if spec.target else together(list(measured.items()), spec.split)
+    groups = [] if spec.target else together(list(measured.items()), spec.asked.split)
     config = {
         **_config(spec),
         "assets": {row.pack: _short(row.assets) for row in measured},
@@ -178,23 +177,28 @@ def write_results(
         "chains": [result_dict(result) for result in results if result.subtask == CHAIN],
     }
     lines = [
-        json.dumps({"row": row.name, "seed": spec.seed, **asdict(episode)})
+        json.dumps({"row": row.name, "seed": spec.asked.seed, **asdict(episode)})
         for row, found in measured.items()
         for episode in found
     ]
     write_text(spec.out / EPISODES, "".join(f"{line}\n" for line in lines))
     write_text(spec.out / RESULTS, json.dumps(document, indent=1) + "\n")
-    write_text(spec.out / TABLE, _csv([*results, *groups], spec.profile))
+    write_text(spec.out / TABLE, _csv([*results, *groups], spec.asked.profile))
     write_text(spec.out / REPORT, render_experts(results, groups, config))
     return results
 
 
 def _config(spec: ExpertsSpec) -> dict[str, Any]:
     """What rows of one folder have in common."""
-    resolved = resolved_profile(spec)
+    resolved = spec.asked.of_profile()
     names = ("profile", "stillness", "spawn_rule", "joint_dynamics")
     shown = {name: resolved[name] for name in names}
-    return {"split": spec.split, "seed": spec.seed, "policy": "expert", **shown}
+    return {
+        "split": spec.asked.split,
+        "seed": spec.asked.seed,
+        "policy": "expert",
+        **shown,
+    }
 
 
 def _short(assets: str) -> str:

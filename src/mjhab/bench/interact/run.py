@@ -206,9 +206,9 @@ def measure_interact(
         raise UsageError(
             f"--steps must be at most {STEPS}, as many as are recorded; got {spec.steps}."
         )
-    backend = resolve(spec.backend)
+    backend = resolve(spec.asked.backend)
     render = not spec.no_render
-    scene = interact_scene(spec.assets)
+    scene = interact_scene(spec.asked.assets)
     points = []
     runs = []
     pictures = {}
@@ -219,8 +219,8 @@ def measure_interact(
                 backend,
                 worlds,
                 render=render,
-                device=spec.device,
-                threads=spec.threads,
+                device=spec.asked.device,
+                threads=spec.asked.threads,
             )
             warm(bench)
             mine = []

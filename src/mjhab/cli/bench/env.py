@@ -6,27 +6,21 @@ from typing import Any
 
 from mjhab.bench.environments.env import measure
 from mjhab.bench.environments.stages import STAGES
-from mjhab.cli.options.env import BenchEnvOptions
-from mjhab.cli.output import at_least, print_json, print_table
+from mjhab.bench.specs import EnvBenchSpec
+from mjhab.cli.output import Listing, report
 
 
-def bench_env(options: BenchEnvOptions) -> int:
+def bench_env(spec: EnvBenchSpec, json: bool) -> int:
     """Print the results of `measure`."""
-    for name in ("steps", "rounds", "camera-size"):
-        at_least(name, getattr(options, name.replace("-", "_")), 1)
-    at_least("worlds", min(options.worlds, default=0), 1)
-    at_least("threads", options.threads, 0)
-    at_least("seed", options.seed, 0)
-    found = measure(options)
-    if options.json:
-        print_json(found)
-        return 0
-    for point in found["points"]:
-        _print(options, found["backend"], point)
+    found = measure(spec)
+    points = [_tables(spec, found["backend"], point) for point in found["points"]]
+    report(json, found, *(table for tables in points for table in tables))
     return 0
 
 
-def _print(options: BenchEnvOptions, backend: str, point: dict[str, Any]) -> None:
+def _tables(
+    spec: EnvBenchSpec, backend: str, point: dict[str, Any]
+) -> tuple[Listing, Listing]:
     names = {
         "env_sps": "environment [control steps/s]",
         "engine_sps": "bare engine [control steps/s]",
@@ -41,13 +35,12 @@ def _print(options: BenchEnvOptions, backend: str, point: dict[str, Any]) -> Non
     rows = [
         (told, point[name]) for name, told in names.items() if point.get(name) is not None
     ]
-    print_table(
-        f"{options.env}, {options.obs}, {point['worlds']} worlds, {backend}",
-        ("what", "value"),
-        rows,
-    )
+    title = f"{spec.id}, {spec.asked.obs_mode}, {point['worlds']} worlds, {backend}"
     steps = point["profiled_steps"]
     stages = [
         (stage, round(1000 * point["stages"][stage] / steps, 3)) for stage in STAGES
     ]
-    print_table("where the time of a step of all worlds goes", ("stage", "ms"), stages)
+    return (
+        Listing(title, ("what", "value"), rows),
+        Listing("where the time of a step of all worlds goes", ("stage", "ms"), stages),
+    )

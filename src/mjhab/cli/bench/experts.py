@@ -13,9 +13,9 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
 from mjhab.bench.experts.rows import CHAIN, ExpertRow, RowResult
 from mjhab.bench.experts.run import REPORT, Measured, Measurement, measure_experts
+from mjhab.bench.specs import ExpertsSpec
 from mjhab.cli.exits import INTERRUPTED, stopped
-from mjhab.cli.options.expert import BenchExpertsOptions
-from mjhab.cli.output import at_least, print_json, print_table
+from mjhab.cli.output import print_json, print_table
 from mjhab.core.arithmetic.sums import ordered_sum
 from mjhab.core.files.interrupts import stop_signals
 
@@ -23,16 +23,12 @@ CHAIN_WEIGHT = 8.0
 """Duration of a whole task in units of a single subtask, for the estimate of the remaining time."""
 
 
-def bench_experts(options: BenchExpertsOptions) -> int:
+def bench_experts(spec: ExpertsSpec, json: bool) -> int:
     """Run the command; returns 0, 1 if a row could not be measured, or 130 after Ctrl-C or SIGTERM."""
-    for name in ("workers", "worlds"):
-        at_least(name, getattr(options, name), 1)
-    for name in ("episodes", "chains", "seed"):
-        at_least(name, getattr(options, name), 0)
     begun = time.perf_counter()
     with stop_signals() as is_stopped:
-        found = measure_experts(options, is_stopped, _progress)
-    _tell(options, found, time.perf_counter() - begun)
+        found = measure_experts(spec, is_stopped, _progress)
+    _tell(spec, found, time.perf_counter() - begun, json)
     return 1 if found.errors else INTERRUPTED if found.left else 0
 
 
@@ -80,15 +76,15 @@ def _weight(counts: Mapping[ExpertRow, int]) -> float:
     )
 
 
-def _tell(options: BenchExpertsOptions, found: Measurement, seconds: float) -> None:
+def _tell(spec: ExpertsSpec, found: Measurement, seconds: float, json: bool) -> None:
     for row, error in found.errors.items():
         print(f"mjhab: {row.name} could not be measured: {error}", file=sys.stderr)
     if found.left:
         stopped(f"{found.left} episodes are left")
-    if options.json:
-        print_json(_summary(options, found, seconds))
+    if json:
+        print_json(_summary(spec, found, seconds))
         return
-    of = f"{options.split}, profile {options.profile}"
+    of = f"{spec.asked.split}, profile {spec.asked.profile}"
     _print_singles([r for r in found.results if r.subtask != CHAIN], of)
     chains = [result for result in found.results if result.subtask == CHAIN]
     if chains:
@@ -102,16 +98,14 @@ def _tell(options: BenchExpertsOptions, found: Measurement, seconds: float) -> N
         )
         title = f"Progressive completion, {of} [%]"
         print_table(title, columns, map(_chain_cells, chains))
-    print(f"report: {options.out / REPORT}")
+    print(f"report: {spec.out / REPORT}")
 
 
-def _summary(
-    options: BenchExpertsOptions, found: Measurement, seconds: float
-) -> dict[str, Any]:
+def _summary(spec: ExpertsSpec, found: Measurement, seconds: float) -> dict[str, Any]:
     """The measurement as JSON data."""
     results = found.results
     return {
-        "profile": options.profile,
+        "profile": spec.asked.profile,
         "rows": len(results),
         "episodes": sum(result.episodes for result in results),
         "success_once": {name_of(result): result.success_once for result in results},
@@ -120,7 +114,7 @@ def _summary(
         "failed_rows": [row.name for row in found.errors],
         "left": found.left,
         "seconds": round(seconds, 1),
-        "out": str(options.out),
+        "out": str(spec.out),
     }
 
 

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from mjhab.bench.interact.run import CAMERA_SIZE, measure_interact, write_results
-from mjhab.cli.options.gpu import BenchInteractOptions
-from mjhab.cli.output import at_least, print_json, print_table
+from mjhab.bench.specs import InteractSpec
+from mjhab.cli.output import Listing, report
 from mjhab.core.files.outputs import check_folder
 
 _HEADS = {
@@ -20,28 +20,16 @@ _HEADS = {
 }
 
 
-def bench_interact(options: BenchInteractOptions) -> int:
+def bench_interact(spec: InteractSpec, json: bool) -> int:
     """Print and write the results of `measure_interact`."""
-    for name in ("seeds", "steps"):
-        at_least(name, getattr(options, name), 1)
-    at_least("worlds", min(options.worlds, default=0), 1)
-    at_least("threads", options.threads, 0)
-    check_folder(options.out)
-    found, runs, pictures = measure_interact(options)
-    write_results(options.out, found, runs, pictures)
-    if options.json:
-        print_json(found)
-        return 0
-    kind = (
-        "no cameras" if options.no_render else f"2 x {CAMERA_SIZE} x {CAMERA_SIZE} RGB-D"
-    )
+    check_folder(spec.out)
+    found, runs, pictures = measure_interact(spec)
+    write_results(spec.out, found, runs, pictures)
+    kind = "no cameras" if spec.no_render else f"2 x {CAMERA_SIZE} x {CAMERA_SIZE} RGB-D"
     rows = [
         [len(p[k]) if k == "moved" else p[k] for k in _HEADS] for p in found["points"]
     ]
-    print_table(
-        f"Interact, {found['backend']} on {found['device']}, {kind}; stages in ms",
-        tuple(_HEADS.values()),
-        rows,
-    )
-    print(f"Plot of speed over memory: {options.out / 'report.html'}")
+    title = f"Interact, {found['backend']} on {found['device']}, {kind}; stages in ms"
+    plot = f"Plot of speed over memory: {spec.out / 'report.html'}"
+    report(json, found, Listing(title, tuple(_HEADS.values()), rows), plot)
     return 0

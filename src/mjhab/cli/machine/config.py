@@ -9,7 +9,7 @@ from typing import Any
 
 from mjhab.cli.output import print_json
 from mjhab.cli.parsing import Parsed
-from mjhab.evaluation.specs import EnvSpec
+from mjhab.config.env_spec import EnvSpec
 
 
 def run_config(parsed: Parsed) -> int:

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import dataclasses
 import importlib.util
 import platform
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from mjhab.cli.options.machine import DoctorOptions
-from mjhab.cli.output import print_json, print_table
+from mjhab.cli.output import Listing, report
 from mjhab.core.files.cache import cache_dir
 from mjhab.core.machine import cores, gpu_name, install_extra, installed, pip_install
 from mjhab.core.memory_cache import LIMIT_VARIABLE, memory_limit_mb
@@ -28,17 +27,15 @@ EXTRAS = {
 """Modules that each extra of the package installs, as in pyproject.toml (without "all" and "dev")."""
 
 
-def run_doctor(options: DoctorOptions) -> int:
-    """Print the findings; returns 1 if MuJoCo is missing or does not have the version that the benchmark requires."""
-    if options.estimate:
-        from mjhab.cli.machine.estimate import run_estimate
+@dataclass(frozen=True)
+class DoctorSpec:
+    """Show installed libraries, working renderers, the number of cores, and the folders of caches."""
 
-        return run_estimate(options)
+
+def run_doctor(spec: DoctorSpec, json: bool) -> int:
+    """Print the findings; returns 1 if MuJoCo is missing or does not have the version that the benchmark requires."""
     found = diagnose()
-    if options.json:
-        print_json(found)
-    else:
-        _print(found)
+    report(json, found, *_tables(found))
     return 0 if found["mujoco"] == PINNED_MUJOCO else 1
 
 
@@ -63,12 +60,12 @@ def diagnose() -> dict[str, Any]:
         "cores": cores(),
         "cache": str(cache_dir()),
         "memory_cache_mb": memory_limit_mb(),
-        "plugins": [dataclasses.asdict(plugin) for plugin in loaded_plugins()],
+        "plugins": [asdict(plugin) for plugin in loaded_plugins()],
         "robots": {robot.name: missing_files(robot) for robot in ROBOTS.values()},
     }
 
 
-def _print(found: dict[str, Any]) -> None:
+def _tables(found: dict[str, Any]) -> list[Listing]:
     mujoco = found["mujoco"] or "missing"
     if found["mujoco"] != PINNED_MUJOCO:
         mujoco += (
@@ -79,24 +76,20 @@ def _print(found: dict[str, Any]) -> None:
         (name, installed(name) or "missing")
         for name in ("numpy", "numba", "gymnasium", "gymnasium-robotics")
     ]
-    print_table("installed", ("what", "version"), rows)
     extras = []
     for name, modules in EXTRAS.items():
         here = all(importlib.util.find_spec(module) for module in modules)
         extras.append(
             (name, ", ".join(modules), "yes" if here else f"no: {install_extra(name)}")
         )
-    print_table("extras", ("extra", "modules", "installed"), extras)
     robots = [
         (name, f"no: {missing}" if missing else "yes")
         for name, missing in found["robots"].items()
     ]
-    print_table("robots", ("robot", "available"), robots)
     renderers = [
         (name, "works" if works else _advice(name))
         for name, works in found["renderers"].items()
     ]
-    print_table("renderers", ("renderer", "state"), renderers)
     gpu = found["gpu"] or "none found (the CPU is all that is needed)"
     machine = [
         ("cores", found["cores"]),
@@ -108,13 +101,17 @@ def _print(found: dict[str, Any]) -> None:
             f"{found['memory_cache_mb']:g} MB at most (${LIMIT_VARIABLE})",
         ),
     ]
-    print_table("machine", ("what", "value"), machine)
+    tables = [
+        Listing("installed", ("what", "version"), rows),
+        Listing("extras", ("extra", "modules", "installed"), extras),
+        Listing("robots", ("robot", "available"), robots),
+        Listing("renderers", ("renderer", "state"), renderers),
+        Listing("machine", ("what", "value"), machine),
+    ]
     if found["plugins"]:
-        print_table(
-            "plugins",
-            ("plugin", "where", "registered"),
-            map(_plugin_row, found["plugins"]),
-        )
+        plugins = map(_plugin_row, found["plugins"])
+        tables.append(Listing("plugins", ("plugin", "where", "registered"), plugins))
+    return tables
 
 
 def _plugin_row(plugin: dict[str, Any]) -> tuple[str, str, str]:

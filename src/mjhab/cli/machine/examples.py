@@ -6,11 +6,14 @@ import filecmp
 import shlex
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
-from mjhab.cli.options.machine import ExamplesOptions
-from mjhab.cli.output import print_json, print_table
+from mjhab.cli.output import Listing, report
 from mjhab.core.errors import UsageError
 from mjhab.core.files.cache import write_atomic
+from mjhab.core.typed.bounds import Output
+from mjhab.core.typed.flags import Flag
+from mjhab.core.typed.options import take_options
 
 SOURCE = Path(__file__).parents[2] / "examples"
 """The examples in the package; their files are data, nothing imports them."""
@@ -59,23 +62,39 @@ EXAMPLES = {
 """File or folder in SOURCE to what it is."""
 
 
-def run_examples(options: ExamplesOptions) -> int:
+@dataclass(frozen=True)
+class ExamplesSpec:
+    """Copy the examples of plugins and homes into a folder, and show how to try them.
+
+    `mjhab examples`
+
+    Files that are there already are kept; files with other content are refused.
+    """
+
+    out: Annotated[Path, Flag(metavar="FOLDER"), Output()] = Path("examples")
+    """Folder to copy them into."""
+
+    def __post_init__(self) -> None:
+        take_options(self)
+
+
+def run_examples(spec: ExamplesSpec, json: bool) -> int:
     """Copy the examples, and print what they are and how to try them; returns 0.
 
     Raises:
         UsageError: the folder has files of the same names with other content.
     """
-    written = copy_examples(options.out)
-    folder = shlex.quote(str(options.out))
+    written = copy_examples(spec.out)
+    folder = shlex.quote(str(spec.out))
     found = {name: entry.command.format(folder) for name, entry in EXAMPLES.items()}
-    if options.json:
-        print_json({"folder": str(options.out), "written": written, "commands": found})
-        return 0
     rows = [(name, entry.about) for name, entry in EXAMPLES.items()]
-    print_table(f"examples in {options.out}", ("example", "what it adds"), rows)
-    print("To try them:")
-    for command in found.values():
-        print(command)
+    report(
+        json,
+        {"folder": str(spec.out), "written": written, "commands": found},
+        Listing(f"examples in {spec.out}", ("example", "what it adds"), rows),
+        "To try them:",
+        *found.values(),
+    )
     return 0
 
 

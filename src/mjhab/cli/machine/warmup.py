@@ -5,14 +5,13 @@ from __future__ import annotations
 import functools
 import sys
 import time
-from collections.abc import Callable
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Annotated, Any
 
-from mjhab.cli.options.gpu import WarmupOptions
-from mjhab.cli.output import print_json, print_table
-from mjhab.config.profile_choice import profile_options
+from mjhab.cli.output import Listing, report
+from mjhab.config.env_spec import PROFILE, EnvSpec, env_options
 from mjhab.sim.backends import resolve
-from mjhab.tasks.household.registry import TASKS
 
 if TYPE_CHECKING:
     from mjhab.sim.mujoco.cpu import CpuSimulator
@@ -21,23 +20,49 @@ WORLDS = 2
 """Worlds of the environment that compiles the kernels of the device."""
 
 
-def run_warmup(options: WarmupOptions) -> int:
+@dataclass(frozen=True)
+class WarmupSpec(EnvSpec):
+    """Compile and cache everything that is compiled at first use: homes, kernels of the rasterizer and of the experts'
+    planning, and those of MuJoCo Warp.
+
+    With `--profile ms_hab` it also computes the arm postures with a held object in which Place starts.
+
+    It takes minutes the first time and seconds later. Kernels of Warp are cached in $WARP_CACHE_PATH, else
+    ~/.cache/warp.
+    """
+
+    env: Annotated[
+        Mapping[str, Any],
+        env_options(
+            *PROFILE,
+            "task",
+            "assets",
+            "backend",
+            "device",
+            docs={
+                "backend": "cpu: rasterizer and planning; warp: also MuJoCo Warp; auto: warp where there is a CUDA "
+                "device."
+            },
+            task="tidy_house",
+            backend="auto",
+        ),
+    ] = field(default_factory=dict)
+    """What to compile for, fields of `EnvConfig`."""
+
+
+def run_warmup(spec: WarmupSpec, json: bool) -> int:
     """Run `warmup` and print the duration of each part."""
-    TASKS.check(options.task)
-    backend = resolve(options.backend)
-    seconds = warmup(options, backend)
-    if options.json:
-        print_json({"backend": backend, "seconds": seconds})
-    else:
-        print_table(
-            f"ready for backend {backend}", ("what", "seconds"), list(seconds.items())
-        )
+    backend = resolve(spec.asked.backend)
+    seconds = warmup(spec, backend)
+    title = f"ready for backend {backend}"
+    table = Listing(title, ("what", "seconds"), list(seconds.items()))
+    report(json, {"backend": backend, "seconds": seconds}, table)
     return 0
 
 
-def warmup(options: WarmupOptions, backend: str) -> dict[str, float]:
+def warmup(spec: WarmupSpec, backend: str) -> dict[str, float]:
     """Compile homes and kernels for a task; returns the duration of each part [s]. Progress goes to stderr."""
-    work = _Work(options)
+    work = _Work(spec)
     parts: dict[str, Callable[[], None]] = {
         f"{len(work.layout.pack.homes)} homes": work.compile_homes,
         "rasterizer": work.compile_rasterizer,
@@ -53,21 +78,18 @@ def warmup(options: WarmupOptions, backend: str) -> dict[str, float]:
 class _Work:
     """The parts of a warm-up, on the layout of one task."""
 
-    def __init__(self, options: WarmupOptions) -> None:
-        from mjhab.config.env import EnvConfig
+    def __init__(self, spec: WarmupSpec) -> None:
         from mjhab.episodes.rosters import roster
         from mjhab.layout.layout import Layout
         from mjhab.robots.registry import robot_named
         from mjhab.scenes.packs import open_pack
 
-        self.options = options
-        self.config = EnvConfig(
-            task=options.task, assets=options.assets, **profile_options(options)
-        )
+        self.options = spec.env_options
+        self.config = spec.asked
         robot = robot_named(self.config.robot)
         self.layout = Layout(
-            open_pack(options.assets),
-            roster(options.task),
+            open_pack(self.config.assets),
+            roster(self.config.task),
             robot,
             self.config.joint_dynamics,
         )
@@ -111,18 +133,16 @@ class _Work:
         """Make a small environment on the device, reset it and take one step."""
         from mjhab.envs import make_train
 
-        env = make_train(
-            task=self.options.task,
-            subtask="pick",
-            backend="warp",
-            device=self.options.device,
-            num_envs=WORLDS,
-            starts=WORLDS,
-            assets=self.options.assets,
-            obs_mode="rgbd+seg",
-            camera_size=16,
-            **profile_options(self.options),
-        )
+        options = {
+            **self.options,
+            "subtask": "pick",
+            "backend": "warp",
+            "num_envs": WORLDS,
+            "starts": WORLDS,
+            "obs_mode": "rgbd+seg",
+            "camera_size": 16,
+        }
+        env = make_train(**options)
         env.reset()
         env.step(env.sim.qpos.new_zeros(env.action_space.shape))
 

@@ -1,15 +1,12 @@
-"""``mjhab score``: parse options; score, check or tabulate; print the results."""
+"""``mjhab score``: score a policy, check or tabulate scores; print the results."""
 
 from __future__ import annotations
 
-import dataclasses
-import re
 import sys
 from pathlib import Path
 
 from mjhab.cli.exits import stopped
-from mjhab.cli.options.policies.score import ScoreOptions
-from mjhab.cli.output import print_json, print_table, tell_caution
+from mjhab.cli.output import Listing, print_json, report, tell_caution
 from mjhab.cli.policies.evaluate import ProgressSink
 from mjhab.core.errors import UsageError
 from mjhab.core.files.cache import write_atomic
@@ -23,79 +20,20 @@ from mjhab.evaluation.score.result import (
     read_for_table,
     read_result,
 )
-from mjhab.evaluation.score.run import CHECKED_EPISODES, ScoreSpec, check, score
+from mjhab.evaluation.score.run import CHECKED_EPISODES, check, score
+from mjhab.evaluation.score.spec import CheckSpec, LeaderboardSpec, ScoreSpec, StartsSpec
 from mjhab.evaluation.score.starts import write_starts
-from mjhab.robots.registry import DEFAULT_ROBOT
-from mjhab.serving.address import with_options, without_password
 
 _MOST_SHOWN = 10
-MODES = {
-    "check": ("check", "check_seed", "json"),
-    "table": ("table", "page", "json"),
-    "starts": ("starts", "track", "split", "worlds", "threads", "json"),
-}
-"""What the command does instead of scoring, by option, and the options that it takes then."""
 
 
-def run_score(options: ScoreOptions) -> int:
-    """Run the command; returns 0, or 130 after Ctrl-C.
-
-    1 if a check finds episodes with another outcome, or the policy could not finish an episode.
-    """
-    _check_options(options)
-    if options.check:
-        return _check(options.check, options)
-    if options.table:
-        return _table(options)
-    if options.starts:
-        count = write_starts(
-            options.track, options.split, options.worlds, options.threads
-        )
-        print(f"{count} starts of {options.track}/{options.split} written")
-        return 0
-    return _score(options)
-
-
-def _check_options(options: ScoreOptions) -> None:
-    """Refuse options that would be passed over.
-
-    Raises:
-        UsageError: names the option.
-    """
-    modes = [name for name in MODES if getattr(options, name)]
-    if len(modes) > 1:
-        raise UsageError("--check, --table and --starts exclude each other.")
-    given = [
-        field.name
-        for field in dataclasses.fields(options)
-        if getattr(options, field.name) != field.default
-    ]
-    for name in given:
-        shown = f"--{name.replace('_', '-')}"
-        if modes and name not in MODES[modes[0]]:
-            raise UsageError(f"{shown} has no meaning with --{modes[0]}: leave it out.")
-        if not modes and name in (*MODES["check"], *MODES["table"]) and name != "json":
-            mode = "check FILE" if name in MODES["check"] else "table FILE ..."
-            raise UsageError(f"{shown} is for --{mode}")
-
-
-def _score(options: ScoreOptions) -> int:
-    policy = with_options(options.policy, options.served)
-    spec = ScoreSpec(
-        policy=policy,
-        track=options.track,
-        split=options.split,
-        out=options.out or _default_out(options),
-        worlds=options.worlds,
-        threads=options.threads,
-        episodes=options.episodes,
-        robot=options.robot or DEFAULT_ROBOT,
-    )
+def run_score(spec: ScoreSpec, json: bool) -> int:
+    """Run the command; returns 0, or 130 after Ctrl-C, or 1 if the policy could not finish an episode."""
     with sigterm_interrupts():
         try:
             result = score(spec, lambda evaluation: [ProgressSink(evaluation)])
         except EvaluationInterrupted:
-            return stopped(f"finished episodes are kept in {spec.out}", again="")
+            return stopped(f"finished episodes are kept in {spec.folder}", again="")
     # One policy may act in many rows.
     cautions = {
         told.get("policy_caution", "")
@@ -103,19 +41,9 @@ def _score(options: ScoreOptions) -> int:
     }
     for caution in sorted(cautions):
         tell_caution({"policy_caution": caution})
-    if options.json:
-        print_json(_facts(result))
-    else:
-        _tell(result, spec.out)
+    report(json, _facts(result), *_told(result, spec.folder))
     # An episode that the policy could not finish says nothing of how good it is.
     return 1 if result.summary["errors"] else 0
-
-
-def _default_out(options: ScoreOptions) -> Path:
-    words = [without_password(options.policy), options.track, options.split]
-    if options.robot:
-        words.append(options.robot)
-    return Path("scores") / "_".join(re.sub(r"[^\w.-]+", "-", word) for word in words)
 
 
 def _facts(result: ScoreResult) -> dict[str, object]:
@@ -129,7 +57,7 @@ def _facts(result: ScoreResult) -> dict[str, object]:
     }
 
 
-def _tell(result: ScoreResult, out: Path) -> None:
+def _told(result: ScoreResult, out: Path) -> list[Listing | str]:
     summary = result.summary
     rows = [
         (
@@ -140,23 +68,24 @@ def _tell(result: ScoreResult, out: Path) -> None:
         )
         for row in summary["rows"]
     ]
-    print_table("Rows", ("row", "episodes", "score", "success once"), rows)
-    print(
+    parts: list[Listing | str] = [
+        Listing("Rows", ("row", "episodes", "score", "success once"), rows),
         f"score {100 * summary['score']:.1f} of {summary['episodes']} episodes, tainted {summary['tainted']}, errors "
-        f"{summary['errors']}"
-    )
+        f"{summary['errors']}",
+    ]
     if not summary["complete"]:
-        print(
+        parts.append(
             f"incomplete: episodes are missing, or have another start than in the manifest ({summary['other_starts']})"
         )
-    print(f"result: {out / RESULT_FILE}")
+    return [*parts, f"result: {out / RESULT_FILE}"]
 
 
-def _check(path: Path, options: ScoreOptions) -> int:
-    result = read_result(path)
+def run_check(spec: CheckSpec, json: bool) -> int:
+    """Replay episodes of a score; returns 1 if some have another outcome."""
+    result = read_result(spec.file)
     total = min(CHECKED_EPISODES, len(result.episodes))
     with progress_bar("replaying", total) as advance:
-        found = check(result, advance, options.check_seed)
+        found = check(result, advance, spec.seed)
     for name, what in list(found.wrong.items())[:_MOST_SHOWN]:
         print(f"{name}: {what}", file=sys.stderr)
     exact = found.episodes - len(found.wrong) - len(found.inexact)
@@ -164,9 +93,9 @@ def _check(path: Path, options: ScoreOptions) -> int:
         f"{found.episodes} episodes replayed: {exact} exact, {len(found.inexact)} with the same outcome but other "
         f"states (another machine or version?), {len(found.wrong)} with another outcome. Chosen with seed "
         f"{found.seed}.",
-        file=sys.stderr if options.json else sys.stdout,
+        file=sys.stderr if json else sys.stdout,
     )
-    if options.json:
+    if json:
         counts = {
             "checked": found.episodes,
             "exact": exact,
@@ -178,21 +107,31 @@ def _check(path: Path, options: ScoreOptions) -> int:
     return 1 if found.wrong else 0
 
 
-def _table(options: ScoreOptions) -> int:
-    results = [read_for_table(path) for path in options.table]
+def run_table(spec: LeaderboardSpec, json: bool) -> int:
+    """Print or write the table of scores; returns 0."""
+    results = [read_for_table(path) for path in spec.files]
     places: dict[str, Path] = {}
-    for path, result in zip(options.table, results, strict=True):
+    for path, result in zip(spec.files, results, strict=True):
         first = places.setdefault(result.digest, path)
         if first != path:
             raise UsageError(f"{first} and {path} are the same result; give one of them.")
     text = leaderboard(results)
-    page = options.page
+    page = spec.page
     if page is None:
         print(text)
     else:
         page.parent.mkdir(parents=True, exist_ok=True)
         write_atomic(page, lambda temporary: temporary.write_text(text, encoding="utf-8"))
         print(f"page: {page}")
-    if options.json:
+    if json:
         print_json({"results": [_facts(result) for result in results]})
+    return 0
+
+
+def run_starts(spec: StartsSpec, json: bool) -> int:
+    """Write the missing starts of a track; returns 0."""
+    asked = spec.asked
+    count = write_starts(spec.track, asked.split, asked.num_envs, asked.threads)
+    told = f"{count} starts of {spec.track}/{asked.split} written"
+    report(json, {"track": spec.track, "split": asked.split, "written": count}, told)
     return 0

@@ -9,51 +9,45 @@ import sys
 import threading
 from typing import TYPE_CHECKING
 
-from mjhab.cli.options.policies.serve import ServeOptions
-from mjhab.cli.output import at_least, print_json
-from mjhab.core.errors import UsageError
+from mjhab.cli.output import print_json
 from mjhab.evaluation.resolve import PolicyOptions, full_spec
+from mjhab.evaluation.served.spec import ServeSpec
 from mjhab.serving import require_serving
-from mjhab.serving.address import SCHEMES, TOKEN_VARIABLE, without_password
+from mjhab.serving.address import TOKEN_VARIABLE
 
 if TYPE_CHECKING:
     from mjhab.serving.server import PolicyServer
 
 
-def run_serve(options: ServeOptions) -> int:
+def run_serve(spec: ServeSpec, json: bool) -> int:
     """Serve until Ctrl-C or SIGTERM; returns 0."""
-    at_least("seed", options.seed, 0)
-    at_least("max-message-mb", options.max_message_mb, 1)
-    if options.policy.startswith(SCHEMES):
-        raise UsageError(f"{without_password(options.policy)} is served already.")
     require_serving()
     from mjhab.evaluation.served.twin import TwinResponder
     from mjhab.serving.dialects.names import dialect_named
     from mjhab.serving.server import LOCAL_HOSTS, PolicyServer, ServerOptions
 
-    dialect = dialect_named(options.dialect)
-    spec = full_spec(options.policy, options.task, options.subtask, options.target)
-    responder = TwinResponder(
-        spec, PolicyOptions(options.seed, options.style), options.assets
-    )
+    dialect = dialect_named(spec.dialect)
+    asked = spec.asked
+    policy = full_spec(spec.policy, asked.task, asked.subtask, asked.target)
+    responder = TwinResponder(policy, PolicyOptions(asked.seed, spec.style), asked.assets)
     token = os.environ.get(TOKEN_VARIABLE, "")
-    made_up = not token and options.host not in LOCAL_HOSTS
+    made_up = not token and spec.host not in LOCAL_HOSTS
     if made_up:
         token = secrets.token_urlsafe(24)
-    limit = options.max_message_mb << 20
+    limit = spec.max_message_mb << 20
     server = PolicyServer(
-        responder, dialect, ServerOptions(options.host, options.port, token, limit)
+        responder, dialect, ServerOptions(spec.host, spec.port, token, limit)
     )
     print(server.port, flush=True)
-    if options.port not in (0, server.port):
-        _tell(f"port {options.port} is in use; listening on {server.port} instead.")
+    if spec.port not in (0, server.port):
+        _tell(f"port {spec.port} is in use; listening on {server.port} instead.")
     if made_up:
         _tell(f"clients need this token: export {TOKEN_VARIABLE}={token}")
     _tell(
-        f"{responder.facts.name} at ws://{options.host}:{server.port}, dialect {dialect.name}; Ctrl-C ends it."
+        f"{responder.facts.name} at ws://{spec.host}:{server.port}, dialect {dialect.name}; Ctrl-C ends it."
     )
     _run(server)
-    if options.json:
+    if json:
         counts = {"requests": server.requests, "refused": server.refused}
         print_json({"port": server.port, **counts})
     return 0

@@ -2,23 +2,36 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from typing import Annotated, Any
 
-from mjhab.cli.options.env import EnvsDescribeOptions, EnvsListOptions
-from mjhab.cli.output import print_json, print_table
-from mjhab.config.profile_choice import profile_options
-
-
-def run_envs(options: EnvsListOptions | EnvsDescribeOptions) -> int:
-    """Run one of the commands and return the exit code."""
-    return (
-        list_envs(options)
-        if isinstance(options, EnvsListOptions)
-        else describe_env(options)
-    )
+from mjhab.cli.output import Listing, report
+from mjhab.config.env_spec import PROFILE, EnvSpec, env_options
+from mjhab.core.typed.flags import Flag
 
 
-def list_envs(options: EnvsListOptions) -> int:
+@dataclass(frozen=True)
+class EnvsListSpec:
+    """List the environment ids of `gymnasium.make` and `gymnasium.make_vec` after `import mjhab`."""
+
+
+@dataclass(frozen=True)
+class EnvsDescribeSpec(EnvSpec):
+    """Show the observations, the action table and the reward terms of an environment.
+
+    For instance: `mjhab envs describe mjhab/PickSubtaskTrain-v1 --obs rgbd`
+    """
+
+    id: Annotated[str, Flag(metavar="ID", positional=True)]
+    """The environment, e.g. mjhab/PickSubtaskTrain-v1 (see: mjhab envs list)."""
+    env: Annotated[
+        Mapping[str, Any], env_options(*PROFILE, "obs_mode", "control_mode")
+    ] = field(default_factory=dict)
+    """Its options."""
+
+
+def list_envs(spec: EnvsListSpec, json: bool) -> int:
     """Print the ids."""
     from mjhab.envs.catalog import env_ids, plugin_of
     from mjhab.robots.registry import DEFAULT_ROBOT
@@ -33,77 +46,65 @@ def list_envs(options: EnvsListOptions) -> int:
         }
         for env_id, chosen in env_ids().items()
     ]
-    if options.json:
-        print_json({"envs": found})
-    else:
-        rows = [
-            (env["id"], env["task"], env["subtask"] or "the whole chain", env["plugin"])
-            for env in found
-        ]
-        print_table("environments", ("id", "task (default)", "subtask", "plugin"), rows)
-        print(
-            'gymnasium.make_vec("mjhab/PickSubtaskTrain-v1", num_envs=16, task="set_table", obs_mode="depth", ...)'
-        )
-    return 0
-
-
-def describe_env(options: EnvsDescribeOptions) -> int:
-    """Print observations, actions and rewards of one environment."""
-    found = description(options)
-    if options.json:
-        print_json(found)
-        return 0
-    for title, part in (
-        ("observations", "observations"),
-        ("actions", "actions"),
-        ("dense reward", "reward_terms"),
-    ):
-        rows: list[dict[str, Any]] = found[part]
-        if rows:
-            print_table(
-                f"{found['id']}: {title}",
-                list(rows[0]),
-                [[_text(v) for v in r.values()] for r in rows],
-            )
-    print(
-        f"reward mode {found['reward_mode']}; horizons {found['horizons']} control steps of 50 ms"
+    rows = [
+        (env["id"], env["task"], env["subtask"] or "the whole chain", env["plugin"])
+        for env in found
+    ]
+    report(
+        json,
+        {"envs": found},
+        Listing("environments", ("id", "task (default)", "subtask", "plugin"), rows),
+        'gymnasium.make_vec("mjhab/PickSubtaskTrain-v1", num_envs=16, task="set_table", obs_mode="depth", ...)',
     )
     return 0
 
 
-def description(options: EnvsDescribeOptions) -> dict[str, Any]:
-    """Observations, actions and rewards of an environment, as JSON data."""
-    import dataclasses
+def describe_env(spec: EnvsDescribeSpec, json: bool) -> int:
+    """Print observations, actions and rewards of one environment."""
+    found = description(spec)
+    parts = {
+        "observations": "observations",
+        "actions": "actions",
+        "reward_terms": "dense reward",
+    }
+    tables = [
+        Listing(
+            f"{found['id']}: {title}",
+            list(found[part][0]),
+            [[_text(v) for v in row.values()] for row in found[part]],
+        )
+        for part, title in parts.items()
+        if found[part]
+    ]
+    modes = f"reward mode {found['reward_mode']}; horizons {found['horizons']} control steps of 50 ms"
+    report(json, found, *tables, modes)
+    return 0
 
+
+def description(spec: EnvsDescribeSpec) -> dict[str, Any]:
+    """Observations, actions and rewards of an environment, as JSON data."""
     from mjhab.envs import make_by_id
     from mjhab.tasks.household.registry import TASKS
     from mjhab.tasks.subtasks.registry import SUBTASKS, limits_of
 
-    env = make_by_id(
-        options.env,
-        num_envs=1,
-        obs_mode=options.obs,
-        control_mode=options.control,
-        **profile_options(options),
-    )
+    env = make_by_id(spec.id, num_envs=1, **spec.env)
     subtask = env.config.subtask
     kinds = [subtask] if subtask else TASKS[env.config.task].subtasks
     tables = {kind: SUBTASKS[kind].reward for kind in kinds}
     found = {
-        "id": options.env,
+        "id": spec.id,
         "profile": env.config.profile,
         "observations": [
             {k: _plain(v) for k, v in row.items()} for row in env.observer.describe(kinds)
         ],
         "actions": [
-            {k: _plain(v) for k, v in dataclasses.asdict(row).items()}
-            for row in env.action_table
+            {k: _plain(v) for k, v in asdict(row).items()} for row in env.action_table
         ],
         "reward_mode": env.config.reward,
         "reward_terms": [
             {
                 "subtask": kind,
-                **{k: _plain(v) for k, v in dataclasses.asdict(row).items()},
+                **{k: _plain(v) for k, v in asdict(row).items()},
             }
             for kind, table in tables.items()
             if table is not None

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import time
 from collections import Counter
+from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
 
 from rich.console import Console
 from rich.progress import (
@@ -16,53 +19,102 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 
-from mjhab.cli.options.episodes import EpisodesCheckOptions, EpisodesMakeOptions
-from mjhab.cli.output import at_least, print_json, print_table
+from mjhab.cli.output import Listing, report
 from mjhab.cli.streams import with_way_on
-from mjhab.core.errors import MjhabError, UsageError, unknown_name
+from mjhab.config.env_spec import EnvSpec, env_options
+from mjhab.core.errors import MjhabError, UsageError
 from mjhab.core.files.reading import read_json_object
 from mjhab.core.machine import cores
 from mjhab.core.names import kind_of
+from mjhab.core.typed.bounds import Bound, Output
+from mjhab.core.typed.flags import Flag
 from mjhab.tasks.household.registry import TASKS
 
 if TYPE_CHECKING:
     from mjhab.episodes.hab.format import HabFile
     from mjhab.episodes.hab.reader import FileEpisodes
 
-SPLITS = ("train", "val", "test")
 SUFFIXES = (".json", ".json.gz")
 DISK_ADVICE = "Free some space, then the same command continues."
 
 
-def run_episodes(options: EpisodesMakeOptions | EpisodesCheckOptions) -> int:
-    """Run one of the two commands and return the exit code."""
-    if isinstance(options, EpisodesMakeOptions):
-        return make(options)
-    return check(options)
+@dataclass(frozen=True, kw_only=True)
+class EpisodesMakeSpec(EnvSpec):
+    """Generate episodes and write them in the HAB format, with a manifest beside the file.
+
+    `mjhab episodes make --task tidy_house --split val --count 100 --out episodes/tidy.json.gz`
+
+    Every episode comes to rest in simulation before it is written, and depends on (task, split, seed, index) only.
+    Ctrl-C keeps finished episodes; the same command continues.
+
+    Raises:
+        UsageError: an option is invalid.
+    """
+
+    out: Annotated[Path, Flag(metavar="FILE.json.gz"), Output()]
+    """The file to write; gzip when it ends with .gz."""
+    count: Annotated[
+        int | None,
+        Flag(shown="default: 10000 of train, 1000 of val and test"),
+        Bound(1),
+    ] = None
+    """Number of episodes."""
+    first: int = 0
+    """Index of the first episode; every episode can be made without the others."""
+    workers: Annotated[int, Bound(most=256)] = 0
+    """Number of processes; 0 takes all cores. Changes the speed, never the episodes."""
+    overwrite: bool = False
+    """Replace the file and the unfinished files of an interrupted run with other options."""
+    env: Annotated[
+        Mapping[str, Any],
+        env_options("task", "split", "seed", "assets", task="tidy_house"),
+    ] = field(default_factory=dict)
+    """Which episodes: fields of `EnvConfig`."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not self.out.name.endswith(SUFFIXES):
+            raise UsageError(f"--out must end with .json or .json.gz, got {self.out}.")
+        _ = self.asked
 
 
-def make(options: EpisodesMakeOptions) -> int:
+@dataclass(frozen=True)
+class EpisodesCheckSpec(EnvSpec):
+    """Load a file of episodes, simulate each for 2 s and report objects that do not stay where the file puts them.
+
+    `mjhab episodes check tidy_house.json.gz --assets data`
+    """
+
+    file: Annotated[Path, Flag(metavar="FILE", positional=True)]
+    """The file: *.json or *.json.gz in the HAB format."""
+    env: Annotated[
+        Mapping[str, Any],
+        env_options(
+            "assets",
+            "task",
+            "threads",
+            docs={"task": "Task of the episodes."},
+            shown={"task": "default: that in the file, or in its name"},
+        ),
+    ] = field(default_factory=dict)
+    """Options of the environment, fields of `EnvConfig`."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        _ = self.asked
+
+
+def make(spec: EpisodesMakeSpec, json: bool) -> int:
     """Write a file of generated episodes."""
-    TASKS.check(options.task)
-    if options.split not in SPLITS:
-        raise unknown_name("split", options.split, SPLITS)
-    at_least("first", options.first, 0)
-    at_least("seed", options.seed, 0)
-    at_least("workers", options.workers, 0)
-    if options.count is not None:
-        at_least("count", options.count, 1)
-    if not options.out.name.endswith(SUFFIXES):
-        raise UsageError(f"--out must end with .json or .json.gz, got {options.out}.")
     from mjhab.episodes.files import COUNTS, Recipe, make_file, manifest_path
 
-    count = COUNTS[options.split] if options.count is None else options.count
-    recipe = Recipe(
-        options.task, options.split, options.seed, options.assets, options.first, count
-    )
+    asked = spec.asked
+    count = COUNTS[asked.split] if spec.count is None else spec.count
+    recipe = Recipe(asked.task, asked.split, asked.seed, asked.assets, spec.first, count)
     started = time.perf_counter()
     with _bar() as bar, with_way_on(DISK_ADVICE):
         line = bar.add_task(
-            f"{options.task} {options.split}", total=count, note="", visible=False
+            f"{asked.task} {asked.split}", total=count, note="", visible=False
         )
 
         def tell(done: int, rejected: int) -> None:
@@ -70,34 +122,28 @@ def make(options: EpisodesMakeOptions) -> int:
                 line, visible=True, completed=done, note=f"{rejected} draws rejected"
             )
 
-        made = make_file(
-            recipe, options.out, options.workers or cores(), tell, options.overwrite
-        )
+        made = make_file(recipe, spec.out, spec.workers or cores(), tell, spec.overwrite)
     seconds = round(time.perf_counter() - started, 2)
-    if options.json:
-        print_json({**made, "seconds": seconds})
-    else:
-        print(
-            f"{made['episodes']} episodes in {options.out}, {made['rejected']} draws rejected, {seconds:.0f} s"
-        )
-        print(f"manifest: {manifest_path(options.out)}")
+    report(
+        json,
+        {**made, "seconds": seconds},
+        f"{made['episodes']} episodes in {spec.out}, {made['rejected']} draws rejected, {seconds:.0f} s",
+        f"manifest: {manifest_path(spec.out)}",
+    )
     return 0
 
 
-def check(options: EpisodesCheckOptions) -> int:
+def check(spec: EpisodesCheckSpec, json: bool) -> int:
     """Load and simulate the episodes of a file, and print which objects do not stay in place."""
-    at_least("threads", options.threads, 0)
-    if options.task is not None:
-        TASKS.check(options.task)
     from mjhab.episodes.hab.format import read_hab
 
-    file = read_hab(options.file)
+    file = read_hab(spec.file)
     check_manifest(file)
-    episodes = _load(options, file)
+    episodes = _load(spec, file)
     total = Counter[str]()
     fallen = Counter[str]()
     worst: dict[str, float] = {}
-    with _bar() as bar, ThreadPoolExecutor(options.threads or cores()) as pool:
+    with _bar() as bar, ThreadPoolExecutor(spec.asked.threads or cores()) as pool:
         line = bar.add_task("settling", total=len(episodes), note="")
         for _, rest in pool.map(episodes.settled, range(len(episodes))):
             total.update(kind_of(name) for name in rest.names)
@@ -107,17 +153,12 @@ def check(options: EpisodesCheckOptions) -> int:
                 worst[kind] = max(worst.get(kind, 0.0), moved)
             bar.advance(line)
     share = 1.0 - fallen.total() / max(total.total(), 1)
-    if options.json:
-        moved = {kind: fallen[kind] for kind in sorted(fallen)}
-        print_json(
-            {
-                "episodes": len(file.episodes),
-                "loaded": len(episodes),
-                "at_rest": round(share, 4),
-                "moved": moved,
-            }
-        )
-        return 0
+    facts = {
+        "episodes": len(file.episodes),
+        "loaded": len(episodes),
+        "at_rest": round(share, 4),
+        "moved": {kind: fallen[kind] for kind in sorted(fallen)},
+    }
     columns = (
         "object",
         "copies",
@@ -135,8 +176,12 @@ def check(options: EpisodesCheckOptions) -> int:
         )
         for kind in sorted(total)
     ]
-    print_table(f"{len(episodes)} episodes, 2 s of simulation each", columns, rows)
-    print(f"{100 * share:.1f} % of {total.total()} objects stay where the file puts them")
+    report(
+        json,
+        facts,
+        Listing(f"{len(episodes)} episodes, 2 s of simulation each", columns, rows),
+        f"{100 * share:.1f} % of {total.total()} objects stay where the file puts them",
+    )
     return 0
 
 
@@ -166,15 +211,16 @@ def check_manifest(file: HabFile) -> None:
         )
 
 
-def _load(options: EpisodesCheckOptions, file: HabFile) -> FileEpisodes:
+def _load(spec: EpisodesCheckSpec, file: HabFile) -> FileEpisodes:
     from mjhab.episodes.hab.reader import FileEpisodes, file_roster
     from mjhab.layout.layout import Layout
     from mjhab.scenes.packs import open_pack
     from mjhab.sim.mujoco.cpu import CpuSimulator
 
-    pack = open_pack(options.assets)
+    pack = open_pack(spec.asked.assets)
     layout = Layout(pack, file_roster(file, pack))
-    return FileEpisodes(CpuSimulator(layout, 1, 1), file, options.task or task_of(file))
+    task = spec.env.get("task") or task_of(file)
+    return FileEpisodes(CpuSimulator(layout, 1, 1), file, task)
 
 
 def task_of(file: HabFile) -> str:

@@ -1,52 +1,47 @@
-"""``mjhab homes``: list, show and draw the homes of an asset pack."""
+"""``mjhab homes list`` and ``homes show``: the homes of an asset pack."""
 
 from __future__ import annotations
 
 from collections import Counter
-from typing import Any
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Annotated, Any
 
-from mjhab.cli.options.homes import (
-    HomesCheckOptions,
-    HomesListOptions,
-    HomesRenderOptions,
-    HomesShowOptions,
-)
-from mjhab.cli.output import print_json, print_table
+from mjhab.cli.output import Listing, report
 from mjhab.cli.worlds.home_names import find_home
+from mjhab.config.env_spec import EnvSpec, env_options
+from mjhab.core.typed.flags import Flag
+
+HomeName = Annotated[str, Flag(metavar="HOME", positional=True)]
 
 
-def run_homes(
-    options: HomesListOptions | HomesShowOptions | HomesCheckOptions | HomesRenderOptions,
-) -> int:
-    """Run one of the four commands and return the exit code."""
-    if isinstance(options, HomesListOptions):
-        return list_homes(options)
-    if isinstance(options, HomesShowOptions):
-        return show_home(options)
-    if isinstance(options, HomesCheckOptions):
-        from mjhab.cli.worlds.homes_check import check
+@dataclass(frozen=True)
+class HomesListSpec(EnvSpec):
+    """List the homes of an asset pack."""
 
-        return check(options)
-    from mjhab.cli.worlds.homes_render import render
-
-    return render(options)
+    env: Annotated[Mapping[str, Any], env_options("assets")] = field(default_factory=dict)
+    """The asset pack."""
 
 
-def list_homes(options: HomesListOptions) -> int:
+@dataclass(frozen=True)
+class HomesShowSpec(EnvSpec):
+    """Show what is in one home."""
+
+    name: HomeName
+    """Name of the home (see: mjhab homes list)."""
+    env: Annotated[Mapping[str, Any], env_options("assets")] = field(default_factory=dict)
+    """The asset pack."""
+
+
+def list_homes(spec: HomesListSpec, json: bool) -> int:
     """Print name, pack, split, macro and micro number of every home."""
     from mjhab.scenes.packs import open_pack
 
-    homes = [_row(home) for home in open_pack(options.assets).homes]
-    if options.json:
-        print_json({"homes": homes})
-    else:
-        columns = ("name", "pack", "split", "macro", "micro")
-        print_table(
-            f"{len(homes)} homes",
-            columns,
-            [[home[key] for key in columns] for home in homes],
-        )
-        print(_variety(homes))
+    homes = [_row(home) for home in open_pack(spec.asked.assets).homes]
+    columns = ("name", "pack", "split", "macro", "micro")
+    rows = [[home[key] for key in columns] for home in homes]
+    table = Listing(f"{len(homes)} homes", columns, rows)
+    report(json, {"homes": homes}, table, _variety(homes))
     return 0
 
 
@@ -64,9 +59,9 @@ def _variety(homes: list[dict[str, Any]]) -> str:
     )
 
 
-def show_home(options: HomesShowOptions) -> int:
+def show_home(spec: HomesShowSpec, json: bool) -> int:
     """Print size, walls and furniture of one home."""
-    home = find_home(options.assets, options.name)
+    home = find_home(spec.asked.assets, spec.name)
     x_min, y_min, x_max, y_max = home.floor
     shown = {
         **_row(home),
@@ -78,26 +73,22 @@ def show_home(options: HomesShowOptions) -> int:
         "note": home.note,
         "open_limits": dict(home.open_limits),
     }
-    if options.json:
-        print_json(shown)
-        return 0
     apart = ("props", "articulations", "note", "open_limits")
     facts = [(key, value) for key, value in shown.items() if key not in apart]
     facts[5:6] = [("size", f"{shown['size_m'][0]} m x {shown['size_m'][1]} m")]
     facts += [("note", home.note)] if home.note else []
     facts += [(f"{link} opens to", f"{limit:g}") for link, limit in home.open_limits]
-    print_table(f"home {home.name}", ("what", "value"), facts)
     furniture = [(name, count, "") for name, count in shown["props"].items()]
     furniture += [(name, 1, "opens") for name in shown["articulations"]]
-    print_table("furniture", ("template", "count", ""), furniture)
+    report(
+        json,
+        shown,
+        Listing(f"home {home.name}", ("what", "value"), facts),
+        Listing("furniture", ("template", "count", ""), furniture),
+    )
     return 0
 
 
 def _row(home: Any) -> dict[str, Any]:
-    return {
-        "name": home.name,
-        "pack": home.pack,
-        "split": home.split,
-        "macro": home.macro,
-        "micro": home.micro,
-    }
+    names = ("name", "pack", "split", "macro", "micro")
+    return {name: getattr(home, name) for name in names}

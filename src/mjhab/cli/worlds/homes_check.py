@@ -3,39 +3,56 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Annotated, Any
 
-from mjhab.cli.options.homes import HomesCheckOptions
-from mjhab.cli.output import print_json, print_table
+from mjhab.cli.output import Listing, report
 from mjhab.cli.worlds.home_names import homes_of_split
+from mjhab.config.env_spec import EnvSpec, env_options
 from mjhab.core.progress import progress_bar
 
 
-def check(options: HomesCheckOptions) -> int:
+@dataclass(frozen=True)
+class HomesCheckSpec(EnvSpec):
+    """Check that homes compile into one layout, that a robot reaches all places, and that doors and drawers open fully.
+
+    For instance: `mjhab homes check --split val`
+
+    Fails if a home cannot be used. Places out of reach are reported; tasks do not use them.
+    """
+
+    tasks: bool = False
+    """Also tell for which tasks each home has room: makes an episode of each, which takes about a second."""
+    env: Annotated[
+        Mapping[str, Any], env_options("assets", "split", shown={"split": "default: all"})
+    ] = field(default_factory=dict)
+    """The asset pack, and which of its homes."""
+
+
+def check_homes(spec: HomesCheckSpec, json: bool) -> int:
     """Print the findings; returns 1 if a home cannot be used."""
-    from mjhab.layout.check import check_homes
+    from mjhab.layout import check
     from mjhab.layout.layout import Layout
     from mjhab.scenes.packs import open_pack
 
-    pack = open_pack(options.assets)
-    homes = homes_of_split(pack, options.split)
+    pack = open_pack(spec.asked.assets)
+    homes = homes_of_split(pack, spec.env.get("split"))
     with progress_bar("checking homes", len(homes)) as advance:
-        report = check_homes(Layout(pack, roster_of(pack)), homes, lambda home: advance())
-    report.remarks += unasked_roles(pack, homes)
-    room = find_room(pack, homes) if options.tasks else None
-    if options.json:
-        told = as_json(report)
-        print_json(told if room is None else {**told, "tasks": room})
-    else:
-        _print(report)
-        if room is not None:
-            rows = [
-                (home, ", ".join(t for t in w if not w[t])) for home, w in room.items()
-            ]
-            columns = ("home", "tasks with room")
-            print_table("tasks", columns, [(h, names or "none") for h, names in rows])
-    return 1 if report.failed else 0
+        layout = Layout(pack, roster_of(pack))
+        found = check.check_homes(layout, homes, lambda home: advance())
+    found.remarks += unasked_roles(pack, homes)
+    told = as_json(found)
+    tables = _tables(found)
+    if spec.tasks:
+        told["tasks"] = room = find_room(pack, homes)
+        rows = [
+            (home, ", ".join(task for task in why if not why[task]) or "none")
+            for home, why in room.items()
+        ]
+        tables.append(Listing("tasks", ("home", "tasks with room"), rows))
+    report(json, told, *tables)
+    return 1 if found.failed else 0
 
 
 def find_room(pack: Any, homes: Sequence[Any]) -> dict[str, dict[str, str]]:
@@ -99,11 +116,14 @@ def as_json(report: Any) -> dict[str, Any]:
     }
 
 
-def _print(report: Any) -> None:
+def _tables(report: Any) -> list[Listing]:
+    tables = []
     if report.failed:
-        print_table("homes that cannot be used", ("home", "why"), report.failed)
+        tables.append(
+            Listing("homes that cannot be used", ("home", "why"), report.failed)
+        )
     if report.remarks:
-        print_table("remarks", ("home", "what"), report.remarks)
+        tables.append(Listing("remarks", ("home", "what"), report.remarks))
     per_home = report.compile_s / max(report.homes, 1)
     facts = (
         ("homes", report.homes),
@@ -116,4 +136,4 @@ def _print(report: Any) -> None:
         ),
         ("memory of all models", f"{report.model_bytes / 1e6:.1f} MB"),
     )
-    print_table("homes check", ("what", "value"), facts)
+    return [*tables, Listing("homes check", ("what", "value"), facts)]

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
-from mjhab.cli.options.homes import HomesRenderOptions
-from mjhab.cli.output import at_least, print_json
+from mjhab.cli.output import report
 from mjhab.cli.worlds.home_names import find_home, homes_of_split
+from mjhab.config.env_spec import EnvSpec, env_options
 from mjhab.core.errors import UsageError
 from mjhab.core.files.cache import write_atomic
 from mjhab.core.progress import progress_bar
+from mjhab.core.typed.bounds import Bound, Output
+from mjhab.core.typed.flags import Flag
 
 PNG = ".png"
 HTML = ".html"
@@ -19,37 +23,67 @@ SHEET_SIZE = (400, 300)
 """Default width and height of a single image, and of each image on a sheet [px]."""
 
 
-def render(options: HomesRenderOptions) -> int:
-    """Render one home or a sheet of homes."""
-    width, height = SHEET_SIZE if options.all else ONE_SIZE
-    size = (
-        width if options.width is None else options.width,
-        height if options.height is None else options.height,
-    )
-    at_least("width", size[0], 16)
-    at_least("height", size[1], 16)
-    check_out(options.out, (PNG, HTML) if options.all else (PNG,))
-    if options.all:
-        if options.name:
-            raise UsageError(
-                f"give a home or --all, not both (got {options.name!r} and --all)."
-            )
-        return render_sheet(options, *size)
-    if options.split:
-        raise UsageError("--split needs --all: one home is drawn by its name.")
-    if not options.name:
-        raise UsageError(
-            "name a home (see: mjhab homes list), or draw all of them with --all."
-        )
-    return render_one(options, *size)
+Side = Annotated[
+    int | None, Flag(shown="default: 1200 x 900, with --all 400 x 300"), Bound(16, 8192)
+]
 
 
-def check_out(out: Path, endings: tuple[str, ...]) -> None:
-    """Refuse an invalid output file.
+@dataclass(frozen=True)
+class HomesRenderSpec(EnvSpec):
+    """Draw one home, or a sheet of all homes of a pack; needs no OpenGL.
+
+    For instance: `mjhab homes render builtin_m0_00 --out home.png --view inside`
+
+    All of them: `mjhab homes render --all --out homes.html`
 
     Raises:
-        UsageError: the file has another extension, or is a folder.
+        UsageError: an option is invalid, or options exclude each other.
     """
+
+    name: Annotated[str, Flag(metavar="[HOME]", positional=True)] = ""
+    """Name of the home (see: mjhab homes list)."""
+    all: bool = False
+    """Draw every home of the pack into one sheet; --width and --height are then those of one picture."""
+    out: Annotated[Path, Flag(metavar="FILE.png"), Output()] = Path("home.png")
+    """The PNG to write; with --all also an HTML page that needs no network."""
+    view: Annotated[str, Flag(metavar="top|inside")] = "top"
+    """top (plan from above) or inside (from a corner of a room)."""
+    width: Side = None
+    """Width of the picture [px]."""
+    height: Side = None
+    """Height of the picture [px]."""
+    env: Annotated[
+        Mapping[str, Any], env_options("assets", "split", shown={"split": "default: all"})
+    ] = field(default_factory=dict)
+    """The asset pack, and with ``all`` which of its homes."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        _check_out(self.out, (PNG, HTML) if self.all else (PNG,))
+        if self.all and self.name:
+            raise UsageError(
+                f"give a home or --all, not both (got {self.name!r} and --all)."
+            )
+        if not self.all and "split" in self.env:
+            raise UsageError("--split needs --all: one home is drawn by its name.")
+        if not self.all and not self.name:
+            raise UsageError(
+                "name a home (see: mjhab homes list), or draw all of them with --all."
+            )
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height [px]."""
+        width, height = SHEET_SIZE if self.all else ONE_SIZE
+        return self.width or width, self.height or height
+
+
+def render(spec: HomesRenderSpec, json: bool) -> int:
+    """Render one home or a sheet of homes."""
+    return render_sheet(spec, json) if spec.all else render_one(spec, json)
+
+
+def _check_out(out: Path, endings: tuple[str, ...]) -> None:
     if out.suffix.lower() not in endings:
         raise UsageError(f"--out must end with {' or '.join(endings)}, got {out}.")
     if out.is_dir():
@@ -58,55 +92,47 @@ def check_out(out: Path, endings: tuple[str, ...]) -> None:
         )
 
 
-def render_one(options: HomesRenderOptions, width: int, height: int) -> int:
+def render_one(spec: HomesRenderSpec, json: bool) -> int:
     """Draw one home into a PNG."""
-    home = find_home(options.assets, options.name)
+    home = find_home(spec.asked.assets, spec.name)
     from PIL import Image
 
     from mjhab.render.views import render_home
     from mjhab.scenes.packs import open_pack
 
-    image = render_home(open_pack(options.assets), home.name, options.view, width, height)
-    write_atomic(options.out, Image.fromarray(image).save)
-    if options.json:
-        height, width = image.shape[:2]
-        print_json(
-            {
-                "home": home.name,
-                "view": options.view,
-                "width": width,
-                "height": height,
-                "out": str(options.out),
-            }
-        )
-    else:
-        print(f"drew {home.name} ({options.view}) into {options.out}")
+    image = render_home(open_pack(spec.asked.assets), home.name, spec.view, *spec.size)
+    write_atomic(spec.out, Image.fromarray(image).save)
+    height, width = image.shape[:2]
+    facts = {
+        "home": home.name,
+        "view": spec.view,
+        "width": width,
+        "height": height,
+        "out": str(spec.out),
+    }
+    report(json, facts, f"drew {home.name} ({spec.view}) into {spec.out}")
     return 0
 
 
-def render_sheet(options: HomesRenderOptions, width: int, height: int) -> int:
+def render_sheet(spec: HomesRenderSpec, json: bool) -> int:
     """Draw all homes of a pack into one PNG or HTML page."""
     from mjhab.render.views import render_homes
     from mjhab.reports.contact_sheet import Tile, save_html, save_png
     from mjhab.scenes.packs import open_pack
 
-    pack: Any = open_pack(options.assets)
-    homes = homes_of_split(pack, options.split)
+    pack: Any = open_pack(spec.asked.assets)
+    homes = homes_of_split(pack, spec.env.get("split"))
     tiles = []
     with progress_bar("drawing homes", len(homes)) as advance:
-        images = render_homes(
-            pack, [home.name for home in homes], options.view, width, height
-        )
+        images = render_homes(pack, [home.name for home in homes], spec.view, *spec.size)
         for home, image in zip(homes, images, strict=True):
             tiles.append(
                 Tile(home.name, f"{home.split}, layout {home.macro}", home.note, image)
             )
             advance()
-    save = save_png if options.out.suffix.lower() == PNG else save_html
+    save = save_png if spec.out.suffix.lower() == PNG else save_html
     title = f"{len(tiles)} homes of {pack.name}"
-    write_atomic(options.out, lambda temporary: save(temporary, title, tiles))
-    if options.json:
-        print_json({"homes": len(tiles), "view": options.view, "out": str(options.out)})
-    else:
-        print(f"drew {len(tiles)} homes ({options.view}) into {options.out}")
+    write_atomic(spec.out, lambda temporary: save(temporary, title, tiles))
+    facts = {"homes": len(tiles), "view": spec.view, "out": str(spec.out)}
+    report(json, facts, f"drew {len(tiles)} homes ({spec.view}) into {spec.out}")
     return 0

@@ -3,46 +3,60 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from dataclasses import dataclass
+from typing import Annotated, Any
 
-from mjhab.cli.options.env import RobotsListOptions, RobotsShowOptions
-from mjhab.cli.output import print_json, print_table
-
-
-def run_robots(options: RobotsListOptions | RobotsShowOptions) -> int:
-    """Run one of the commands and return the exit code."""
-    return (
-        list_robots(options)
-        if isinstance(options, RobotsListOptions)
-        else show_robot(options)
-    )
+from mjhab.cli.output import Listing, report
+from mjhab.core.typed.flags import Flag
+from mjhab.core.typed.options import take_options
 
 
-def list_robots(options: RobotsListOptions) -> int:
+@dataclass(frozen=True)
+class RobotsListSpec:
+    """List the robots: number of joints, widths of an action (default control mode) and of `state`, and availability.
+
+    A robot is available if the files that it is made of are installed.
+    """
+
+
+@dataclass(frozen=True)
+class RobotsShowSpec:
+    """Show the joints of a robot with their groups and limits, and its cameras.
+
+    For instance: `mjhab robots show fetch`
+    """
+
+    robot: Annotated[str, Flag(positional=True)]
+    """Name of the robot (see: mjhab robots list)."""
+
+    def __post_init__(self) -> None:
+        take_options(self)
+
+
+def list_robots(spec: RobotsListSpec, json: bool) -> int:
     """Print the robots."""
     rows = robot_rows()
-    if options.json:
-        print_json({"robots": rows})
-        return 0
     heads = ("name", "joints", "action", "state", "available")
     sizes = ("name", "dofs", "action_dim", "state_dim")
     shown = [
         (*(row[key] for key in sizes), "yes" if row["available"] else "no")
         for row in rows
     ]
-    print_table("robots", heads, shown)
-    for row in rows:
-        if row["missing"]:
-            print(row["missing"])
-    print('mjhab.make(robot="NAME", ...); --robot NAME of eval and generate')
+    report(
+        json,
+        {"robots": rows},
+        Listing("robots", heads, shown),
+        *(row["missing"] for row in rows),
+        'mjhab.make(robot="NAME", ...); --robot NAME of eval and generate',
+    )
     return 0
 
 
-def show_robot(options: RobotsShowOptions) -> int:
+def show_robot(spec: RobotsShowSpec, json: bool) -> int:
     """Print joints and cameras of one robot."""
     from mjhab.robots.registry import robot_named
 
-    robot = robot_named(options.robot)
+    robot = robot_named(spec.robot)
     group_of = {
         joint: group for group, joints in robot.groups.items() for joint in joints
     }
@@ -60,12 +74,13 @@ def show_robot(options: RobotsShowOptions) -> int:
         )
     ]
     cameras = list(robot.camera_names)
-    if options.json:
-        print_json({"name": robot.name, "joints": joints, "cameras": cameras})
-        return 0
     rows = [tuple("" if v is None else v for v in row.values()) for row in joints]
-    print_table(f"joints of {robot.name}", tuple(joints[0]), rows)
-    print("cameras: " + ", ".join(cameras))
+    report(
+        json,
+        {"name": robot.name, "joints": joints, "cameras": cameras},
+        Listing(f"joints of {robot.name}", tuple(joints[0]), rows),
+        "cameras: " + ", ".join(cameras),
+    )
     return 0
 
 

@@ -3,53 +3,102 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Annotated, Any
 
-from mjhab.cli.options.spawn import SpawnsListOptions, SpawnsMakeOptions
-from mjhab.cli.output import at_least, print_json, print_table
-from mjhab.config.profile_choice import resolved_profile
+from mjhab.cli.output import Listing, report
+from mjhab.config.env_spec import PROFILE, EnvSpec, env_options
 from mjhab.core.errors import UsageError
 from mjhab.core.machine import cores
 from mjhab.core.progress import progress_bar
-from mjhab.robots.registry import DEFAULT_ROBOT
+from mjhab.core.typed.bounds import Output, Positive
+from mjhab.core.typed.flags import Flag
+from mjhab.core.typed.options import take_options
 
 
-def run_spawns(options: SpawnsMakeOptions | SpawnsListOptions) -> int:
-    """Run one of the two commands and return the exit code."""
-    if isinstance(options, SpawnsMakeOptions):
-        return make(options)
-    return listing(options)
+@dataclass(frozen=True, kw_only=True)
+class SpawnsMakeSpec(EnvSpec):
+    """Compute start states of a subtask once, for use in many runs without settling or search.
+
+    `mjhab spawns make --task set_table --subtask pick --count 1000 --out spawns/pick.npz`
+
+    Use them with `EnvConfig(..., spawns="spawns/pick.npz")`. Ctrl-C keeps finished starts; the same command continues.
+
+    Raises:
+        UsageError: an option is invalid.
+    """
+
+    out: Annotated[Path, Flag(metavar="FILE.npz"), Output()]
+    """The file to write."""
+    count: Positive = 1000
+    """Number of starts: those of the episodes 0 to N-1."""
+    pool: int = 0
+    """Number of object arrangements that the starts share; 0 gives each its own, which takes most of the time."""
+    harvested: bool = False
+    """Place and navigate: also use grasps recorded on this machine, not only the computed ones."""
+    overwrite: bool = False
+    """Replace the file and the unfinished files of an interrupted run with other options."""
+    env: Annotated[
+        Mapping[str, Any],
+        env_options(
+            *PROFILE,
+            "task",
+            "subtask",
+            "target",
+            "split",
+            "home",
+            "seed",
+            "assets",
+            "threads",
+        ),
+    ] = field(default_factory=dict)
+    """Which episodes: fields of `EnvConfig`."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        _ = self.asked
 
 
-def make(options: SpawnsMakeOptions) -> int:
+@dataclass(frozen=True)
+class SpawnsListSpec:
+    """List sets of starts with their task, number of starts, and layout.
+
+    `mjhab spawns list spawns`
+    """
+
+    path: Annotated[Path, Flag(metavar="[FOLDER|FILE]", positional=True)] = Path()
+    """A set of starts, or a folder of sets."""
+
+    def __post_init__(self) -> None:
+        take_options(self)
+
+
+def make(spec: SpawnsMakeSpec, json: bool) -> int:
     """Write a set of starts."""
-    at_least("count", options.count, 1)
-    for name in ("pool", "seed", "threads"):
-        at_least(name, getattr(options, name), 0)
     from mjhab.episodes.spawn_factory import make_set
     from mjhab.episodes.spawn_sets import SpawnRecipe
 
-    resolved = resolved_profile(options, task=options.task, subtask=options.subtask or "")
+    asked = spec.asked
     recipe = SpawnRecipe(
-        options.task,
-        options.subtask or "",
-        options.target or "",
-        options.split,
-        options.seed,
-        options.count,
-        options.assets,
-        options.home or "",
-        options.pool,
-        options.harvested,
-        resolved["spawn_rule"],
-        options.robot or DEFAULT_ROBOT,
-        resolved["joint_dynamics"],
+        asked.task,
+        asked.subtask,
+        asked.target,
+        asked.split,
+        asked.seed,
+        spec.count,
+        asked.assets,
+        asked.home,
+        spec.pool,
+        spec.harvested,
+        asked.spawn_rule,
+        asked.robot,
+        asked.joint_dynamics,
     )
     begun = time.perf_counter()
     shown = 0
-    with progress_bar(
-        f"{options.task} {options.subtask or 'chain'}", options.count
-    ) as advance:
+    with progress_bar(f"{asked.task} {asked.subtask or 'chain'}", spec.count) as advance:
 
         def tell(done: int, fallbacks: int) -> None:
             nonlocal shown
@@ -58,24 +107,23 @@ def make(options: SpawnsMakeOptions) -> int:
             shown = done
 
         made = make_set(
-            recipe, options.out, options.threads or cores(), tell, options.overwrite
+            recipe, spec.out, asked.threads or cores(), tell, spec.overwrite
         ).describe()
     seconds = round(time.perf_counter() - begun, 2)
-    if options.json:
-        print_json({**made, "seconds": seconds})
-    else:
-        print(
-            f"{made['count']} starts in {made['homes']} homes in {options.out}, {made['fallbacks']} of them fallbacks, "
-            f"{seconds:.0f} s; layout {made['layout']}, digest {made['digest']}"
-        )
+    report(
+        json,
+        {**made, "seconds": seconds},
+        f"{made['count']} starts in {made['homes']} homes in {spec.out}, {made['fallbacks']} of them fallbacks, "
+        f"{seconds:.0f} s; layout {made['layout']}, digest {made['digest']}",
+    )
     return 0
 
 
-def listing(options: SpawnsListOptions) -> int:
+def list_sets(spec: SpawnsListSpec, json: bool) -> int:
     """Print a table of the sets at a path."""
     from mjhab.episodes.spawn_sets import SUFFIX, SpawnSet
 
-    path = options.path
+    path = spec.path
     if not path.exists():
         raise UsageError(
             f"{path} does not exist; `mjhab spawns make --out FILE{SUFFIX}` makes a set."
@@ -90,9 +138,6 @@ def listing(options: SpawnsListOptions) -> int:
             if not path.is_dir():
                 raise
             damaged.append(str(error))
-    if options.json:
-        print_json({"sets": found, "unreadable": damaged})
-        return 0
     columns = (
         "file",
         "robot",
@@ -118,7 +163,6 @@ def listing(options: SpawnsListOptions) -> int:
         ]
         for one in found
     ]
-    print_table(f"{len(found)} sets of starts in {path}", columns, rows)
-    for line in damaged:
-        print(line)
+    table = Listing(f"{len(found)} sets of starts in {path}", columns, rows)
+    report(json, {"sets": found, "unreadable": damaged}, table, *damaged)
     return 0

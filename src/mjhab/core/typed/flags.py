@@ -39,21 +39,38 @@ class Flag:
 
 
 @dataclass(frozen=True)
+class Keyed:
+    """Marks a field that is a mapping, each entry of which is an option: ``--overrides.goal_type cylinder``.
+
+    key: what stands for the key of an entry in the help; with a dot for a mapping of mappings. metavar: for its value.
+    """
+
+    key: str
+    metavar: str = "VALUE"
+
+
+@dataclass(frozen=True)
 class OptionsOf:
     """Marks a field that is a mapping of given fields of a dataclass, each of which is an option that may be absent.
 
     owner: the dataclass.
-    apart: its fields that are no options here.
+    names: its fields that are options; () for all.
+    apart: its fields that are no options.
     defaults: values in place of the owner's defaults, for the help.
     docs: by field, what it means here, where the owner's docstring does not hold.
     shown: by field, the default as the help tells it.
     """
 
     owner: type[Any]
+    names: tuple[str, ...] = ()
     apart: frozenset[str] = frozenset()
     defaults: Mapping[str, Any] = dataclasses.field(default_factory=dict)
     docs: Mapping[str, str] = dataclasses.field(default_factory=dict)
     shown: Mapping[str, str] = dataclasses.field(default_factory=dict)
+
+    def has(self, name: str) -> bool:
+        """Whether a field of the owner is an option."""
+        return name not in self.apart and (not self.names or name in self.names)
 
     def flag(self, name: str, own: Flag) -> Flag:
         """The flag of an option, whose field has the flag ``own``."""

@@ -15,11 +15,14 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from numbers import Integral, Real
 from os import PathLike, fspath
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 from mjhab.core.errors import missing_field, unknown_name, wrong_type, wrong_value
+from mjhab.core.typed.bounds import check_value
+from mjhab.core.typed.flags import hints_of
 
-MAX_TEXT_CHARACTERS = 4096
+MAX_TEXT_CHARACTERS = 10_000
+"""Longest text; filters are the longest that are meant."""
 
 
 def take_types(options: Any, apart: Collection[str] = (), owner: str = "") -> None:
@@ -44,6 +47,42 @@ def take_types(options: Any, apart: Collection[str] = (), owner: str = "") -> No
         if value is not None or option.default is dataclasses.MISSING:
             value = fitting(option.name, hints[option.name], value, owner)
         object.__setattr__(options, option.name, value)
+
+
+def take_options(options: Any, apart: Collection[str] = ()) -> None:
+    """`take_types`, and check what the marks of the fields say of numbers and outputs; see `check_value`.
+
+    Args:
+        options: a frozen dataclass that is being made; it is changed in place.
+        apart: fields that are checked elsewhere.
+
+    Raises:
+        UsageError: a value is of another type or out of its bound, or an output cannot be written.
+    """
+    take_types(options, apart)
+    for option in dataclasses.fields(options):
+        if option.name not in apart:
+            check_value(type(options), option.name, getattr(options, option.name))
+
+
+def taken(owner: type[Any], name: str, value: Any, told: str = "") -> Any:
+    """A value for a field of a dataclass, as the type of the field and within its bound.
+
+    Args:
+        owner: the dataclass.
+        name: of the field.
+        value: what the caller gave.
+        told: how messages name it; "" for ``name``.
+
+    Raises:
+        UsageError: it is of another type, or the marks of the field forbid it.
+    """
+    hint = hints_of(owner)[name]
+    if typing.get_origin(hint) is Annotated:
+        hint = typing.get_args(hint)[0]
+    value = fitting(told or name, hint, value)
+    check_value(owner, name, value, told)
+    return value
 
 
 def _default(option: dataclasses.Field[Any]) -> Any:

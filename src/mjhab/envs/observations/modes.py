@@ -6,8 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from mjhab.config.ranges import range_of
+from mjhab.config.env import EnvConfig
 from mjhab.core.errors import UsageError, shown, unknown_name, wrong_value
+from mjhab.core.typed.bounds import bound_of
 from mjhab.robots.robot import Robot
 
 STATE_KEY = "state"
@@ -98,7 +99,7 @@ def image_size(size: int | Sequence[int]) -> tuple[int, int]:
     Raises:
         UsageError: not whole numbers, not one or two of them, below MIN_SIZE, or above the range of "camera_size".
     """
-    _, most = range_of("camera_size")
+    most = round(bound_of(EnvConfig, "camera_size").most)
     sides = tuple(size) if isinstance(size, Sequence) else (size, size)
     if len(sides) != 2 or any(
         not isinstance(side, int | np.integer) or not MIN_SIZE <= side <= most

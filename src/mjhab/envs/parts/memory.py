@@ -160,7 +160,7 @@ def _check(need: Need, num_envs: int, free: float | None, where: str) -> None:
     if free is not None and need.total_mb(num_envs) > free:
         most = need.most(free)
         advice = (
-            f"At most {most:,} fit (--worlds, --num-envs): set num_envs={most}."
+            f"At most {most:,} fit (--worlds): set num_envs={most}."
             if most
             else "Not even one fits."
         )

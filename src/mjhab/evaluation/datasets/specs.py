@@ -9,11 +9,10 @@ from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Self, cast
 
-from mjhab.config.ranges import whole_number
 from mjhab.core.errors import UsageError, unknown_name
-from mjhab.core.files.outputs import check_file
+from mjhab.core.typed.bounds import Bound, Output
 from mjhab.core.typed.flags import Flag
-from mjhab.core.typed.options import take_types
+from mjhab.core.typed.options import take_options
 
 if TYPE_CHECKING:
     from mjhab.data.select.query import Filter
@@ -53,7 +52,7 @@ class RecordedSpec:
         return cls(places=cast(Any, places), **options)
 
     def __post_init__(self) -> None:
-        take_types(self)
+        take_options(self)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -89,7 +88,7 @@ class ExportSpec(SelectedSpec):
         UsageError: an option is invalid.
     """
 
-    out: Annotated[Path, Flag(metavar="FOLDER")]
+    out: Annotated[Path, Flag(metavar="FOLDER"), Output()]
     """The folder to write; it is written atomically."""
     until: Annotated[
         str, Flag(metavar="end|success|success+N", shown="default: all of it")
@@ -127,13 +126,8 @@ class LerobotSpec(ExportSpec):
     """Depth images, which are by far the largest part, as columns; --no-depth leaves them out."""
     seg: bool = True
     """Segmentation, as columns; --no-seg leaves it out."""
-    quality: Annotated[int, Flag(metavar="N")] = 18
+    quality: Annotated[int, Bound(most=MAX_QUALITY)] = 18
     """Constant rate factor of videos: 0 (lossless) to 51 (smallest)."""
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if not 0 <= self.quality <= MAX_QUALITY:
-            raise UsageError(f"--quality must be 0 to {MAX_QUALITY}, got {self.quality}.")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -165,25 +159,27 @@ class ReplaySpec(SelectedSpec):
         str | None, Flag(metavar="depth|rgb|rgbd|seg|pointcloud", shown="default: none")
     ] = None
     """Render these images of every state into a new shard, without simulation; several joined by +."""
-    out: Annotated[Path | None, Flag(metavar="FILE.h5", shown="default: none")] = None
+    out: Annotated[
+        Path | None, Flag(metavar="FILE.h5", shown="default: none"), Output(".h5")
+    ] = None
     """With --render: the shard to make or to continue."""
     cameras: Annotated[
         tuple[str, ...] | None, Flag(metavar="NAME ...", shown="default: all")
     ] = None
     """With --render: cameras of the robot, and follow, a camera behind the robot (colour only)."""
-    camera_size: Annotated[int | tuple[int, int], Flag(metavar="N|HEIGHT WIDTH")] = 128
+    camera_size: Annotated[
+        int | tuple[int, int], Flag(metavar="N|HEIGHT WIDTH"), Bound(1, 4096)
+    ] = 128
     """With --render: side of the images, or height and width [px]."""
     rgb: Annotated[str, Flag(metavar="png|jpeg")] = "png"
     """With --render: format of colour images; png is lossless."""
-    worlds: Annotated[int, Flag(metavar="N")] = 8
+    worlds: Annotated[int, Bound(1, 65_536)] = 8
     """Number of episodes simulated, or frames rendered, in parallel. Changes the speed, never the results."""
-    threads: Annotated[int, Flag(metavar="N")] = 0
+    threads: Annotated[int, Bound(most=1024)] = 0
     """Threads; 0 takes all cores."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        whole_number("worlds", self.worlds)
-        whole_number("threads", self.threads)
         if self.verify == (self.render is not None):
             raise UsageError(
                 "say what to do, one of the two: --verify, or --render depth (or rgb, rgbd, ...)."
@@ -201,7 +197,6 @@ class ReplaySpec(SelectedSpec):
             raise UsageError(
                 "--render needs --out FILE.h5: the recorded shard is not changed."
             )
-        check_file(self.out, ".h5")
         mode_outputs(render)
         image_size(self.camera_size)
         ImageFormat(self.rgb)

@@ -26,7 +26,7 @@ SUBTASK_EPISODES = 50
 CHAIN_EPISODES = 20
 """Seed of all episodes, and numbers of episodes per row."""
 STARTS_FILE = Path(__file__).parent / "starts.json"
-"""Digests of the episodes' start states, by "track/split" and by row; `mjhab score --starts` writes them."""
+"""Digests of the episodes' start states, by "track/split" and by row; `mjhab score starts` writes them."""
 START_DECIMALS = 4
 """Decimals of the positions [m, rad] in a start digest; differences of settling between machines are smaller."""
 

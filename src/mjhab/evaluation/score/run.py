@@ -40,7 +40,8 @@ from mjhab.evaluation.score.result import (
     write_result,
     write_summary,
 )
-from mjhab.robots.registry import DEFAULT_ROBOT, ROBOTS
+from mjhab.evaluation.score.spec import ScoreSpec
+from mjhab.robots.registry import DEFAULT_ROBOT
 from mjhab.rollout.loop import plain, rollout
 from mjhab.rollout.records import EpisodeRecord
 from mjhab.rollout.sinks import Sink
@@ -61,35 +62,6 @@ FREE_OPTIONS = frozenset(
 SUMMARY_FILE = "summary.json"
 CHECKED_EPISODES = 100
 """Largest number of episodes that a check replays."""
-
-
-@dataclass(frozen=True)
-class ScoreSpec:
-    """A score to compute.
-
-    policy: a specification as for `resolve_policy`. track, split: see `manifest`. out: folder of the runs and of the
-    result file; existing runs are continued. worlds, threads: of every run. episodes: largest number of episodes per
-    row, None for all; a score of fewer episodes is marked as incomplete. robot: name of the robot; scores of different
-    robots cannot be compared.
-
-    Raises:
-        UsageError: a number is out of range, or the robot is unknown.
-    """
-
-    policy: str
-    track: str
-    split: str
-    out: Path
-    worlds: int = 8
-    threads: int = 0
-    episodes: int | None = None
-    robot: str = DEFAULT_ROBOT
-
-    def __post_init__(self) -> None:
-        ROBOTS.check(self.robot)
-        for name, value in (("worlds", self.worlds), ("episodes", self.episodes)):
-            if value is not None and value < 1:
-                raise UsageError(f"{name} must be at least 1, got {value}.")
 
 
 @dataclass
@@ -119,7 +91,8 @@ def score(
     Raises:
         UsageError: a name is unknown; the policy needs other rules; or the folder holds another run.
     """
-    asked = manifest(spec.track, spec.split, spec.robot)
+    robot = spec.asked.robot
+    asked = manifest(spec.track, spec.asked.split, robot)
     seconds = 0.0
     episodes: list[ScoredEpisode] = []
     policies: dict[str, Any] = {}
@@ -129,16 +102,16 @@ def score(
             continue
         policies[row.name] = {"name": facts.name, **plain(facts.described)}
         options = scored_options(facts)
-        if facts.robot not in ("", spec.robot):
+        if facts.robot not in ("", robot):
             raise UsageError(
-                f"the policy {facts.name} was trained with robot {facts.robot!r}, not {spec.robot!r}; score it with "
+                f"the policy {facts.name} was trained with robot {facts.robot!r}, not {robot!r}; score it with "
                 f"--robot {facts.robot}."
             )
-        if spec.robot != DEFAULT_ROBOT:
-            options["robot"] = spec.robot
+        if robot != DEFAULT_ROBOT:
+            options["robot"] = robot
         policies[row.name]["env_options"] = plain(options)
         evaluation = evaluation_of(spec, asked, row, options)
-        kept = spec.out / "actions" / row.name
+        kept = spec.folder / "actions" / row.name
         run = run_evaluation(evaluation, [ActionKeeper(kept), *sinks(evaluation)])
         # The summary of a run counts its earlier starts, too.
         seconds += run.summary["seconds"]
@@ -148,8 +121,8 @@ def score(
             f"{spec.policy} has no policy for any row of the track {spec.track}."
         )
     facts = facts_of(spec, asked, policies, seconds)
-    result = write_result(spec.out / RESULT_FILE, facts, episodes)
-    write_summary(spec.out / SUMMARY_FILE, result)
+    result = write_result(spec.folder / RESULT_FILE, facts, episodes)
+    write_summary(spec.folder / SUMMARY_FILE, result)
     return result
 
 
@@ -157,17 +130,17 @@ def evaluation_of(
     spec: ScoreSpec, asked: Manifest, row: ScoreRow, options: Mapping[str, Any]
 ) -> EvalSpec:
     """The evaluation of a row with the options of `scored_options`; it resumes an earlier one."""
-    out = spec.out / "runs" / row.name
+    out = spec.folder / "runs" / row.name
     return EvalSpec.of(
         policy=spec.policy,
         task=row.task,
         subtask=row.subtask or None,
         target=row.target or None,
         episodes=min(row.episodes, spec.episodes or row.episodes),
-        worlds=spec.worlds,
+        worlds=spec.asked.num_envs,
         seed=asked.seed,
         split=asked.split,
-        threads=spec.threads,
+        threads=spec.asked.threads,
         films=0,
         out=out,
         resume=out.exists(),

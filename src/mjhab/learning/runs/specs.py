@@ -12,13 +12,13 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Self
 
-from mjhab.config.env import SPLITS, EnvConfig
-from mjhab.config.ranges import whole_number
+from mjhab.config.env import SPLITS
+from mjhab.config.env_spec import EnvSpec
+from mjhab.config.env_spec import env_options as env_mark
 from mjhab.core.errors import UsageError, unknown_name
 from mjhab.core.machine import cores
+from mjhab.core.typed.bounds import Bound, Output
 from mjhab.core.typed.flags import Flag, OptionsOf
-from mjhab.core.typed.options import take_types
-from mjhab.evaluation.specs import EnvSpec
 from mjhab.learning.changes import Sets, changes_of, with_changes
 from mjhab.learning.configs import (
     ACT,
@@ -118,13 +118,9 @@ def env_options(*more: str, worlds: int = 1) -> OptionsOf:
         more: fields of `EnvConfig` that are options besides those of a `Scene`, seed and threads.
         worlds: default of ``num_envs``.
     """
-    taken = SCENE | {"seed", "threads", *more}
-    return OptionsOf(
-        EnvConfig,
-        apart=frozenset(option.name for option in dataclasses.fields(EnvConfig)) - taken,
-        defaults={"subtask": Scene.subtask, "num_envs": worlds},
-        docs=DOCS,
-        shown=SHOWN,
+    names = (*SCENE, "seed", "threads", *more)
+    return env_mark(
+        *names, docs=DOCS, shown=SHOWN, subtask=Scene.subtask, num_envs=worlds
     )
 
 
@@ -136,10 +132,12 @@ Number = Annotated[int | None, Flag(metavar="N", shown="default: that of the pre
 class TrainSpec(EnvSpec):
     """Options of all algorithms."""
 
+    WHAT: ClassVar[str] = "a training run"
+    APART: ClassVar[frozenset[str]] = frozenset({"preset"})
     ALGORITHM: ClassVar[str] = ""
     """Name of the algorithm; "" for that of ``preset``, which then is a configuration."""
 
-    out: Annotated[Path, Flag(metavar="FOLDER")]
+    out: Annotated[Path, Flag(metavar="FOLDER"), Output()]
     """Folder of the run: checkpoints, collected data, curves, report."""
     preset: Annotated[
         Any, Flag(metavar="NAME", kind=str, shown="default: the algorithm's first")
@@ -165,20 +163,13 @@ class TrainSpec(EnvSpec):
         ),
     ] = None
     """Homes of the final evaluation."""
-    films: int = 2
+    films: Annotated[int, Bound(most=10_000)] = 2
     """Number of episodes to film in the first and in the last evaluation, for the report of the run; 0 for none."""
     resume: bool = False
     """Continue the run in the folder from its last checkpoint."""
 
     def __post_init__(self) -> None:
-        take_types(self, {"preset", "env"})
-        self._take_env("a training run")
-        for name in ("eval_episodes", "round_episodes", "films"):
-            object.__setattr__(self, name, whole_number(name, getattr(self, name)))
-        if self.budget_minutes < 0:
-            raise UsageError(
-                f"budget_minutes must be at least 0, got {self.budget_minutes}."
-            )
+        super().__post_init__()
         if self.eval_split is not None and self.eval_split not in SPLITS:
             raise unknown_name("split", self.eval_split, SPLITS)
         _ = self.asked
@@ -275,7 +266,7 @@ class ImitationSpec(TrainSpec):
     device: Annotated[str, Flag(metavar="DEVICE")] = "cpu"
     """Device that the network is trained on: cpu, auto, cuda:0, ...; episodes are simulated on the CPU. With auto it
     is the first GPU, if there is one. Only on the CPU do equal runs end with equal bits."""
-    workers: int = 1
+    workers: Annotated[int, Bound(1, 256)] = 1
     """Processes that collect, or read --data; 1 uses this process. Changes the speed, never the data."""
     ray: Annotated[str | None, Flag(metavar="ADDRESS", shown="default: none")] = None
     """Collect with actors of this Ray cluster ("local" starts one here); all nodes must see the folder --out."""
@@ -283,8 +274,6 @@ class ImitationSpec(TrainSpec):
     def __post_init__(self) -> None:
         super().__post_init__()
         object.__setattr__(self, "style", tuple(Styles.parse(self.style).words))
-        whole_number("workers", self.workers, least=1)
-        whole_number("per_target", self.per_target)
         check_data(self.data, self.where)
         if self.data and self.demos is not None:
             raise UsageError(

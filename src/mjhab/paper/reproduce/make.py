@@ -9,7 +9,6 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mjhab.config.profile_choice import profile_options
 from mjhab.core.errors import UsageError
 from mjhab.core.files.reading import read_json_object
 from mjhab.core.files.run_folder import CONFIG, RunFolder, write_text
@@ -149,7 +148,7 @@ def _judge_policies(
                 subtask=row.subtask,
                 target=target or None,
                 episodes=share,
-                env=variant.env_options(profile_options(spec), row.subtask),
+                env=variant.env_options(spec.of_profile, row.subtask),
                 out=_policy_folder(spec.out, row, target) / variant.name,
             ),
             sinks,
@@ -184,7 +183,7 @@ def _judge_task(
         policy=str(policies),
         task=row.task,
         episodes=spec.episodes,
-        env=variant.env_options(profile_options(spec), ""),
+        env=variant.env_options(spec.of_profile, ""),
         out=folder / variant.name,
     )
     return judge(spec, judging, sinks)
@@ -196,11 +195,11 @@ def judge(spec: TableSpec, judging: EvalSpec, sinks: Sinks) -> Path:
 
     assert judging.out is not None
     shared = {
-        "num_envs": spec.worlds,
-        "seed": EVALUATION_SEED + spec.seed,
-        "split": spec.split,
-        "assets": spec.assets,
-        "threads": spec.threads,
+        "num_envs": spec.asked.num_envs,
+        "seed": EVALUATION_SEED + spec.asked.seed,
+        "split": spec.asked.split,
+        "assets": spec.asked.assets,
+        "threads": spec.asked.threads,
     }
     full = dataclasses.replace(
         judging,
@@ -278,12 +277,12 @@ def _train(spec: TableSpec, row: TableRow, target: str, run: Path) -> TrainingRe
         from mjhab.learning.devices import CPU
         from mjhab.learning.runs.specs import DaggerSpec
 
-        common["env"]["num_envs"] = spec.worlds
+        common["env"]["num_envs"] = spec.asked.num_envs
         return train_spec(DaggerSpec(device=spec.device or CPU, **common))
     from mjhab.learning.reinforcement.configs import reinforcement_preset
     from mjhab.learning.reinforcement.specs import ReinforcementSpec
 
     algorithm = algorithm_of(row, spec.column)
     common["preset"] = reinforcement_preset(algorithm, spec.preset_name)
-    common["env"] |= {"backend": spec.backend, "device": spec.device}
+    common["env"] |= {"backend": spec.asked.backend, "device": spec.device}
     return train_spec(ReinforcementSpec(**common))

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
-from mjhab.config.env import SPLITS
-from mjhab.config.profile_choice import ProfileChoice, profile_options
-from mjhab.config.profiles import profile_named
+from mjhab.config.env import EnvConfig
+from mjhab.config.env_spec import PROFILE, EnvSpec, env_options
+from mjhab.config.profiles import MS_HAB
 from mjhab.core.errors import UsageError, unknown_name
+from mjhab.core.typed.bounds import Bound, Output, Positive
+from mjhab.core.typed.flags import Flag
+from mjhab.core.typed.options import taken
 from mjhab.learning.configs import BC, preset_of
 from mjhab.paper.reproduce.rows import (
     COLUMNS,
@@ -47,44 +52,113 @@ TRAINED_IN = "train"
 
 
 @dataclass(frozen=True, kw_only=True)
-class TableSpec(ProfileChoice):
-    """Which policies to train and evaluate, and with which resources.
+class TableSpec(EnvSpec):
+    """Train policies for results of the MS-HAB paper, evaluate them, and compare them with the paper's policies.
 
-    what: one of VARIANTS. out: folder of the runs. rows: names of rows, () for all rows of the result.
-    preset: of `mjhab train`; "" selects "small" for students and "fast" for reinforcement learning.
-    budget_minutes: time limit for training each policy, 0 for no limit.
-    split, episodes, films: of the evaluation; the policies of a row share its episodes.
-    worlds: parallel worlds of evaluation and of collection. worlds, threads: change the speed, not the results.
-    resume: complete the runs that ``out`` already holds. column: one of COLUMNS.
-    policies: folder of an earlier reproduction whose policies are evaluated; None trains new ones.
-    backend, device: of the environments of reinforcement learning, see `EnvConfig`; for students device is that of the
-    network, see `training_device`. demos: number of episodes that the expert tries for each data set of a study, 0 for
-    that of the preset. updates: of each network of a study, 0 for those of the preset. workers: processes of
-    the expert in a study; they change the speed, not the results. variants: names of variants of the result, () for
-    all; those of an earlier start of the same folder stay.
+    `mjhab reproduce table1 --rows set_table/close/drawer --preset quick --budget-minutes 20 --out runs/table1`
+
+    `mjhab reproduce force_limits --policies runs/table1 --out runs/force_limits`
+
+    Every policy is trained in the homes of split train and has its own folder in --out. Ctrl-C keeps finished parts;
+    the same command with `--resume` continues.
     """
 
-    what: str
-    out: Path
-    rows: tuple[str, ...]
-    preset: str
-    budget_minutes: float
-    split: str
-    episodes: int
-    films: int
-    seed: int
-    assets: str
-    worlds: int
-    threads: int
-    resume: bool
-    column: str = STUDENTS
-    policies: Path | None = None
-    backend: str = "cpu"
-    device: str = ""
+    what: Annotated[
+        str,
+        Flag(
+            metavar="table1|table5|demo_count|filters|choices|force_limits|goal_zones|long_horizon",
+            positional=True,
+        ),
+    ]
+    """table1: success in single subtasks, ten rows. force_limits: the same policies without force limits, and with a
+    limit of 1,400 N x steps. goal_zones: Place with goals of other shapes. long_horizon: whole tasks, with one policy
+    per subtask, unchanged and simplified. table5: behaviour cloning and the diffusion policy. demo_count: 1 to 1,000
+    demonstrations per object (of --rows, else tidy_house/pick). filters: Place from objects put down, dropped, or both
+    (of --rows, else prepare_groceries/place). choices: a preset of `mjhab train bc` with one choice changed at a time:
+    chunk, image size, noise of the expert, ... (of --rows, else set_table/open/drawer and tidy_house/place)."""
+    out: Annotated[Path, Flag(metavar="FOLDER"), Output()]
+    """Folder of the runs, of results.json and of report.html."""
+    rows: Annotated[
+        tuple[str, ...], Flag(metavar="ROW ...", shown="default: all of them")
+    ] = ()
+    """Which rows: TASK/pick, TASK/place, set_table/open/drawer, set_table/close/fridge, ...; all ten if absent."""
+    variants: Annotated[
+        tuple[str, ...], Flag(metavar="NAME ...", shown="default: all of them")
+    ] = ()
+    """Make only these variants: of choices preset, chunk_1, px_64, ...; of demo_count demos_10, ...; of force_limits
+    evaluation, no_force_limit, ...; all if absent. The same command with `--resume` and other names adds those."""
+    column: Annotated[str, Flag(metavar="students|rl_per|rl_all")] = STUDENTS
+    """students: imitation by take-over DAgger, one policy per row. rl_per: reinforcement learning, one policy per
+    object. rl_all: reinforcement learning, one policy per row. PPO trains Open and Close, SAC the others, as in the
+    paper."""
+    preset: Annotated[str, Flag(shown="default: small, or fast")] = ""
+    """Preset of `mjhab train dagger` (small if absent), or of ppo and sac (fast if absent)."""
+    policies: Annotated[Path | None, Flag(metavar="FOLDER", shown="default: none")] = None
+    """Evaluate the policies of this earlier --out instead of training; it must have those of all requested rows."""
+    budget_minutes: Annotated[float, Flag(metavar="MINUTES")] = 0.0
+    """Time limit for training each policy [min]; 0 for no limit."""
     demos: int = 0
+    """In table5, demo_count, filters and choices: episodes that the expert tries per data set; those of the preset if
+    absent."""
     updates: int = 0
-    workers: int = 1
-    variants: tuple[str, ...] = ()
+    """In table5, demo_count, filters and choices: updates of each network; those of the preset if absent."""
+    workers: Annotated[int, Bound(1, 256)] = 1
+    """In table5, demo_count, filters and choices: processes of the expert. Changes the speed, never the results."""
+    episodes: Positive = 500
+    """Evaluation episodes per row; its policies share them."""
+    films: Annotated[int, Bound(most=10_000)] = 0
+    """Film the first N of them."""
+    resume: bool = False
+    """Continue in --out; finished rows are not run again."""
+    env: Annotated[
+        Mapping[str, Any],
+        env_options(
+            *PROFILE,
+            "split",
+            "seed",
+            "assets",
+            "num_envs",
+            "threads",
+            "backend",
+            "device",
+            docs={
+                "profile": "Environment of training and evaluation; ms_hab is that of the paper.",
+                "split": "Homes of the evaluation: train, val or test.",
+                "seed": "Seed of everything.",
+                "num_envs": "Episodes that run at the same time. Changes the speed, never the results.",
+                "threads": "Threads of physics and network; 0 takes all cores. The last bits of the weights depend on "
+                "it.",
+                "backend": "Simulation backend of reinforcement learning: cpu, warp (on a GPU), or auto. Evaluation is "
+                "on the CPU.",
+                "device": "With backend warp: cuda:0, cuda:1, ...; the first one if absent. For students: where "
+                "networks are trained, as in `mjhab train bc`.",
+            },
+            profile=MS_HAB.name,
+            split="val",
+            num_envs=16,
+        ),
+    ] = field(default_factory=dict)
+    """Options of the environment, fields of `EnvConfig`."""
+
+    @cached_property
+    def asked(self) -> EnvConfig:
+        """The environment as it was asked for; the device of students is that of their network."""
+        options = self.env_options
+        if options.get("backend", "cpu") == "cpu":
+            taken(EnvConfig, "device", options.pop("device", ""))
+        return EnvConfig(**options)
+
+    @property
+    def of_profile(self) -> dict[str, Any]:
+        """The options about the profile and the robot."""
+        return {
+            name: value for name, value in self.env_options.items() if name in PROFILE
+        }
+
+    @property
+    def device(self) -> str:
+        """Device of networks or of the environments of reinforcement learning; "" if absent."""
+        return self.env.get("device", "")
 
     @property
     def preset_name(self) -> str:
@@ -98,10 +172,10 @@ def env_of(spec: TableSpec, row: TableRow, target: str) -> dict[str, Any]:
         "task": row.task,
         "subtask": row.subtask,
         "target": target,
-        "assets": spec.assets,
-        "seed": spec.seed,
-        "threads": spec.threads,
-        **profile_options(spec),
+        "assets": spec.asked.assets,
+        "seed": spec.asked.seed,
+        "threads": spec.asked.threads,
+        **spec.of_profile,
     }
 
 
@@ -149,11 +223,9 @@ def chosen_rows(spec: TableSpec) -> list[TableRow]:
     for name in spec.rows:
         if name not in known:
             raise unknown_name("row", name, known)
-    if spec.split not in SPLITS:
-        raise unknown_name("split", spec.split, SPLITS)
     if spec.column not in COLUMNS:
         raise unknown_name("column", spec.column, COLUMNS)
-    profile_named(spec.profile)
+    _ = spec.asked
     if spec.what in STUDIES and spec.column != STUDENTS:
         raise UsageError(
             f"{spec.what} is about imitation: leave out --column {spec.column}."
@@ -165,9 +237,9 @@ def chosen_rows(spec: TableSpec) -> list[TableRow]:
             raise UsageError(
                 f"--{name} is for {', '.join(STUDIES)}, not for {spec.what}."
             )
-    if spec.robot:
+    if "robot" in spec.env:
         # The files of a robot may not be installed.
-        _ = robot_named(spec.robot).body
+        _ = robot_named(spec.asked.robot).body
     names = spec.rows or DEFAULT_ROWS.get(spec.what, known)
     rows = [known[name] for name in dict.fromkeys(names)]
     for row in rows:
@@ -193,17 +265,16 @@ def _check_preset(spec: TableSpec, row: TableRow) -> None:
 
 def table_config(spec: TableSpec) -> dict[str, Any]:
     """The part of the config that all rows of a folder share, as JSON data."""
-    names = (
-        "what",
-        "column",
-        "budget_minutes",
-        "split",
-        "episodes",
-        "seed",
-        "assets",
-        "backend",
-    )
-    shown = {name: getattr(spec, name) for name in names}
+    shown = {
+        "what": spec.what,
+        "column": spec.column,
+        "budget_minutes": spec.budget_minutes,
+        "split": spec.asked.split,
+        "episodes": spec.episodes,
+        "seed": spec.asked.seed,
+        "assets": spec.asked.assets,
+        "backend": spec.asked.backend,
+    }
     policies = {} if spec.policies is None else {"policies": str(spec.policies)}
     given = {
         name: getattr(spec, name) for name in ("demos", "updates") if getattr(spec, name)
@@ -213,5 +284,5 @@ def table_config(spec: TableSpec) -> dict[str, Any]:
         **given,
         "preset": spec.preset_name,
         **policies,
-        **profile_options(spec),
+        **spec.of_profile,
     }

@@ -46,7 +46,7 @@ def train_imitation(
     asked = ImitationSpec(
         out=run,
         preset=config_of(spec, imitation),
-        env={**env_of(spec, row, row.target), "num_envs": spec.worlds},
+        env={**env_of(spec, row, row.target), "num_envs": spec.asked.num_envs},
         budget_minutes=spec.budget_minutes,
         eval_episodes=0,
         round_episodes=0,

@@ -80,7 +80,7 @@ def room_for(num_worlds: int, device: wp.Device) -> Iterator[None]:
         fewer = f"try {num_worlds // 2}" if num_worlds > 1 else "not even one does"
         raise UsageError(
             f"{num_worlds} worlds do not fit into the memory of {device}; {fewer} (num_envs, --worlds; "
-            "`mjhab doctor --estimate` tells how many should fit)"
+            "`mjhab estimate` tells how many should fit)"
         ) from error
 
 

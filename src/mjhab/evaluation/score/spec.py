@@ -1,0 +1,131 @@
+"""What ``mjhab score`` and its commands are asked for."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Any, ClassVar
+
+from mjhab.config.env_spec import EnvSpec, env_options
+from mjhab.core.typed.bounds import SEED, Bound, Output
+from mjhab.core.typed.flags import Flag
+from mjhab.core.typed.options import take_options
+from mjhab.evaluation.specs import OfServer, given_to_server
+from mjhab.robots.registry import ROBOTS
+from mjhab.serving.address import with_options, without_password
+
+OF_TRACK = ("split", "robot", "num_envs", "threads")
+TRACK = Flag(metavar="subtasks|chains")
+
+
+@dataclass(frozen=True)
+class ScoreSpec(EnvSpec):
+    """Score a policy on the fixed episodes of a track.
+
+    A score: `mjhab score --policy my.safetensors --track subtasks --out scores/mine`
+
+    A check: `mjhab score check scores/mine/result.json` replays a hundred of its episodes.
+
+    A table: `mjhab score table scores/*/result.json --page docs/leaderboard.md`
+
+    Ctrl-C keeps the finished episodes; the same command continues.
+
+    Raises:
+        UsageError: a number is out of range, or the robot is unknown.
+    """
+
+    APART: ClassVar[frozenset[str]] = frozenset({"served"})
+
+    policy: Annotated[str, Flag(metavar="NAME|FILE.py:CLASS|ws://HOST:PORT")] = "expert"
+    """The policy, as for `mjhab eval`."""
+    track: Annotated[str, TRACK] = "subtasks"
+    """The episodes: single subtasks, or whole household tasks."""
+    out: Annotated[
+        Path | None,
+        Flag(metavar="FOLDER", shown="default: scores/<policy>_<track>_<split>"),
+        Output(),
+    ] = None
+    """Folder of the runs and of result.json; existing runs are continued."""
+    episodes: Annotated[int | None, Flag(shown="default: all"), Bound(1)] = None
+    """At most N episodes per row, for a quick estimate; the score is marked as incomplete."""
+    env: Annotated[
+        Mapping[str, Any],
+        env_options(
+            *OF_TRACK,
+            docs={
+                "split": "Which homes: train, val or test. Official scores use the test homes.",
+                "robot": "The robot (see: mjhab robots list). Scores of different robots cannot be compared.",
+            },
+            split="test",
+            num_envs=8,
+        ),
+    ] = field(default_factory=dict)
+    """The homes, the robot, and what a score is computed with: fields of `EnvConfig`."""
+    served: OfServer = field(default_factory=dict)
+    """With a served policy: how it is asked, fields of `serving.address.Address`."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        ROBOTS.check(self.asked.robot)
+        given = given_to_server(self.served)
+        object.__setattr__(self, "policy", with_options(self.policy, given))
+
+    @property
+    def folder(self) -> Path:
+        """``out``, or the folder of the policy and the track."""
+        if self.out is not None:
+            return self.out
+        words = [without_password(self.policy), self.track, self.asked.split]
+        words += [self.env["robot"]] if "robot" in self.env else []
+        return Path("scores") / "_".join(re.sub(r"[^\w.-]+", "-", word) for word in words)
+
+
+@dataclass(frozen=True)
+class CheckSpec:
+    """Verify a score: replay a hundred of its episodes, and compare their outcomes.
+
+    `mjhab score check scores/mine/result.json`
+    """
+
+    file: Annotated[Path, Flag(metavar="FILE", positional=True)]
+    """The result file."""
+    seed: Annotated[int | None, Flag(shown="default: another one every time"), SEED] = (
+        None
+    )
+    """Seed of the choice of episodes, to repeat a check."""
+
+    def __post_init__(self) -> None:
+        take_options(self)
+
+
+@dataclass(frozen=True)
+class LeaderboardSpec:
+    """Make a table of scores.
+
+    `mjhab score table scores/*/result.json --page docs/leaderboard.md`
+    """
+
+    files: Annotated[tuple[Path, ...], Flag(metavar="FILE ...", positional=True)]
+    """Result files, or the summary.json beside them."""
+    page: Annotated[
+        Path | None, Flag(metavar="FILE.md", shown="default: none"), Output(".md")
+    ] = None
+    """Write the table to this file instead of printing it."""
+
+    def __post_init__(self) -> None:
+        take_options(self)
+
+
+@dataclass(frozen=True)
+class StartsSpec(EnvSpec):
+    """Write the missing start digests of a track into the package; needed after a change of start states."""
+
+    track: Annotated[str, TRACK] = "subtasks"
+    """The episodes: single subtasks, or whole household tasks."""
+    env: Annotated[
+        Mapping[str, Any],
+        env_options("split", "num_envs", "threads", split="test", num_envs=8),
+    ] = field(default_factory=dict)
+    """The homes, and what the starts are computed with: fields of `EnvConfig`."""

@@ -337,7 +337,8 @@ def _given(many: OptionsOf, values: Mapping[str, Any]) -> Iterator[tuple[str, An
         if (flag := _mark(marks, Flag)) and dataclasses.is_dataclass(flag.kind)
     }
     for name, value in values.items():
-        yield name, kinds[name](**value) if name in kinds else value
+        kind: Any = kinds.get(name)
+        yield name, value if kind is None else kind(**value)
 
 
 def _in_words(value: Any) -> str:

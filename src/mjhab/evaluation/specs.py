@@ -283,10 +283,10 @@ def named_policy(
     """
     if not isinstance(policy, str):
         return policy
-    policy = fitting("policy", str, policy)
+    named: str = fitting("policy", str, policy)
     given = given_to_server(served)
     return full_spec(
-        with_options(policy, given),
+        with_options(named, given),
         asked.task,
         asked.subtask or None,
         asked.target or None,

@@ -21,6 +21,7 @@ from mjhab.layout.layout import Layout, yaw_quat
 from mjhab.layout.receptacles import PlacedReceptacle, placed_receptacles
 from mjhab.robots.registry import robot_named
 from mjhab.scenes.freespace import NAVMESH_BASE_RADIUS_M, free_map
+from mjhab.scenes.pack_source import Assets
 from mjhab.scenes.packs import open_pack
 from mjhab.scenes.spec import Home, Pack
 from mjhab.sim.mujoco.cpu import CpuSimulator
@@ -105,7 +106,7 @@ def with_body(scene: InteractScene, arm: np.ndarray) -> np.ndarray:
     return actions
 
 
-def interact_scene(assets: str = "builtin") -> InteractScene:
+def interact_scene(assets: Assets = "builtin") -> InteractScene:
     """The scene in the first home of a pack that has a fit surface, and free floor before it.
 
     Raises:

@@ -107,10 +107,12 @@ class EpisodesCheckSpec(EnvSpec):
 def make(spec: EpisodesMakeSpec, json: bool) -> int:
     """Write a file of generated episodes."""
     from mjhab.episodes.files import COUNTS, Recipe, make_file, manifest_path
+    from mjhab.scenes.pack_source import pack_request
 
     asked = spec.asked
     count = COUNTS[asked.split] if spec.count is None else spec.count
-    recipe = Recipe(asked.task, asked.split, asked.seed, asked.assets, spec.first, count)
+    assets = pack_request(asked.assets).as_json()
+    recipe = Recipe(asked.task, asked.split, asked.seed, assets, spec.first, count)
     started = time.perf_counter()
     with _bar() as bar, with_way_on(DISK_ADVICE):
         line = bar.add_task(

@@ -5,9 +5,10 @@ from __future__ import annotations
 from typing import Any
 
 from mjhab.core.errors import unknown_name
+from mjhab.scenes.pack_source import Assets
 
 
-def find_home(assets: str, name: str) -> Any:
+def find_home(assets: Assets, name: str) -> Any:
     """Return a home by name.
 
     Raises:

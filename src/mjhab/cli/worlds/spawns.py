@@ -79,6 +79,7 @@ def make(spec: SpawnsMakeSpec, json: bool) -> int:
     """Write a set of starts."""
     from mjhab.episodes.spawn_factory import make_set
     from mjhab.episodes.spawn_sets import SpawnRecipe
+    from mjhab.scenes.pack_source import pack_request
 
     asked = spec.asked
     recipe = SpawnRecipe(
@@ -88,7 +89,7 @@ def make(spec: SpawnsMakeSpec, json: bool) -> int:
         asked.split,
         asked.seed,
         spec.count,
-        asked.assets,
+        pack_request(asked.assets).as_json(),
         asked.home,
         spec.pool,
         spec.harvested,

@@ -26,6 +26,7 @@ from mjhab.evaluation.resolve import (
 )
 from mjhab.rollout.loop import plain
 from mjhab.rollout.policy import Policy
+from mjhab.scenes.pack_source import Assets, pack_request
 from mjhab.scenes.packs import open_pack
 from mjhab.serving.dialects.dialect import OWN
 
@@ -66,14 +67,16 @@ class TwinResponder:
         UsageError: there is no such policy or asset pack, or the policy has no such style.
     """
 
-    def __init__(self, spec: str, options: PolicyOptions, assets: str = BUILTIN) -> None:
+    def __init__(
+        self, spec: str, options: PolicyOptions, assets: Assets = BUILTIN
+    ) -> None:
         check_style(spec, options.style)
         if assets != BUILTIN:
             open_pack(assets)
         self._opened = open_policy(spec)
         self.facts: PolicyFacts = self._opened.facts
         self._options = options
-        self._assets = assets
+        self._assets = pack_request(assets).as_json()
         self._idle: list[tuple[Mapping[str, Any], ObservationAdapter]] = []
         self._lock = threading.Lock()
 

@@ -19,7 +19,7 @@ from mjhab.scenes.pack_source import PackRequest, pack_request
 from tests.refusals import refused
 
 WRONG: dict[Any, tuple[Any, ...]] = {
-    str: (3, 1.5, True, [], ["a"], {}, b"x", object(), "x" * 5000, "a\0b", math.nan),
+    str: (3, 1.5, True, [], ["a"], {}, b"x", object(), "x" * 20_000, "a\0b", math.nan),
     int: (
         "3",
         1.5,
@@ -35,7 +35,7 @@ WRONG: dict[Any, tuple[Any, ...]] = {
     ),
     float: ("a", True, [], {}, math.nan, math.inf, -1.0, 2.0, 10**400),
     bool: ("no", 2, 3.0, [], math.nan),
-    tuple: ("x", 3, [3], [None], [["a"]], {"a": 1}, {"a"}, ["x" * 5000]),
+    tuple: ("x", 3, [3], [None], [["a"]], {"a": 1}, {"a"}, ["x" * 20_000]),
     Mapping: (3, "x", [1], {3: 4}, True),
 }
 OTHERWISE_READ = {"assets"}

@@ -73,7 +73,7 @@ def test_labels_are_written_only_when_asked(shard: Path) -> None:
     ("function", "options", "words"),
     [
         (mjhab.export_lerobot, {"out": "x", "wher": "success"}, ("wher", "where")),
-        (mjhab.export_lerobot, {"out": "x", "quality": 90}, ("0 to 51", "90")),
+        (mjhab.export_lerobot, {"out": "x", "quality": 90}, ("quality", "at most 51")),
         (mjhab.export_lerobot, {"out": "x", "version": "4"}, ("version", "3.0")),
         (mjhab.export_lerobot, {"out": "x", "rgb": "yes"}, ("rgb", "True or False")),
         (mjhab.export_maniskill, {"out": "x", "until": "end+3"}, ("end+3", "success")),

@@ -66,7 +66,8 @@ def _fields_of(
     for field in dataclasses.fields(owner):
         hint = hints_of(owner)[field.name]
         many = mark_of(owner, field.name, OptionsOf)
-        inner = typing.get_args(hint)[0] if mark_of(owner, field.name, object) else hint
+        marked = typing.get_origin(hint) is typing.Annotated
+        inner = typing.get_args(hint)[0] if marked else hint
         kind = flag_of(owner, field.name).kind
         if many is not None:
             yield from _fields_of(many.owner, many.defaults)

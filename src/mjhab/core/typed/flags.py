@@ -82,9 +82,17 @@ Mark = TypeVar("Mark")
 
 
 def mark_of(owner: type[Any], name: str, kind: type[Mark]) -> Mark | None:
-    """The mark of a kind in the annotation of a field; None if it has none."""
-    hint = hints_of(owner)[name]
-    marks = typing.get_args(hint)[1:] if typing.get_origin(hint) is Annotated else ()
+    """The mark of a kind in the annotation of a field; None if it has none.
+
+    A subclass that gives a field another default keeps the marks of its base.
+    """
+    hints = (hints_of(base).get(name) for base in owner.__mro__)
+    marks = (
+        mark
+        for hint in hints
+        if typing.get_origin(hint) is Annotated
+        for mark in typing.get_args(hint)[1:]
+    )
     return next((mark for mark in marks if isinstance(mark, kind)), None)
 
 

@@ -8,6 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from mjhab.core.kernels.arrays import read_only
+
 
 @dataclass(frozen=True, eq=False)
 class Boxes:
@@ -45,11 +47,7 @@ class Boxes:
 
     def contiguous(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """``center``, ``half`` and ``rot`` as compiled kernels take them."""
-        return (
-            np.ascontiguousarray(self.center, dtype=np.float64),
-            np.ascontiguousarray(self.half, dtype=np.float64),
-            np.ascontiguousarray(self.rot, dtype=np.float64),
-        )
+        return read_only(self.center), read_only(self.half), read_only(self.rot)
 
     def take(self, keep: np.ndarray) -> Boxes:
         """The boxes picked by an index or mask."""
@@ -83,6 +81,4 @@ def nearest_box_distance(points: np.ndarray, boxes: Boxes) -> np.ndarray:
     """Signed distance (P,) of each of ``points`` (P, 3) to the box nearest to it; infinite without boxes."""
     from mjhab.core.kernels.box_gaps import least_box_gaps  # loads numba
 
-    return least_box_gaps(
-        np.ascontiguousarray(points, dtype=np.float64), *boxes.contiguous()
-    )
+    return least_box_gaps(read_only(points), *boxes.contiguous())

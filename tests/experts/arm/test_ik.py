@@ -10,12 +10,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from mjhab.core.boxes import nearest_box_distance
 from mjhab.core.errors import UsageError
+from mjhab.core.kernels.box_gaps import least_box_gaps
 from mjhab.core.rotations import mat_from_quat, mat_from_rotation_vector, rotation_vector
 from mjhab.episodes.grasps.candidates import LyingObject, ObjectShape, grasp_candidates
-from mjhab.experts.arm import ik
+from mjhab.experts.arm import ik, ik_kernels, motion
 from mjhab.experts.arm.clearance import Boxes
 from mjhab.experts.arm.frame_kernels import link_frames, tree_of
+from mjhab.experts.arm.sphere_gaps import min_gaps
 from mjhab.robots.damped_steps import StepBounds, limited_step
 from mjhab.robots.fetch import model as fetch
 from mjhab.robots.fetch.robot import ROBOT
@@ -44,6 +47,24 @@ def test_compiled_frames_are_those_of_the_chain():
     pos, rot = link_frames(tree_of(CHAIN), q)
     np.testing.assert_allclose(pos, frames.pos, atol=1e-12)
     np.testing.assert_allclose(rot, frames.rot, atol=1e-12)
+
+
+def test_kernels_are_compiled_for_one_kind_of_arrays():
+    """Whatever is writable, contiguous or of one box: each further kind would cost seconds of compiling."""
+    pos, rot = reachable(0, 2)
+    assert not ROBOT.rest.flags.writeable
+    for rest, turn in ((ROBOT.rest, rot), (REST, np.repeat(rot, 2, axis=2)[..., ::2])):
+        goals = ik.TipGoals(pos, turn, DOFS, rest)
+        ik.solve(CHAIN, goals, rest[None])
+        for base in (None, np.zeros((2, 3))):
+            ik.servo(CHAIN, np.broadcast_to(rest, (2, 15)), goals, base_next=base)
+        for count in (1, 2):
+            boxes = Boxes.of(np.zeros((count, 3)), 0.1)
+            motion.spheres(ROBOT).clearance(np.broadcast_to(rest, (2, 15)), boxes)
+            nearest_box_distance(pos, boxes)
+    kernels = (ik_kernels.reach, ik_kernels.servo_steps, ik_kernels._one_step, min_gaps)
+    for kernel in (*kernels, link_frames, least_box_gaps):
+        assert len(kernel.signatures) == 1, kernel  # type: ignore[attr-defined]
 
 
 @pytest.mark.parametrize("far", [0.01, 1.0])

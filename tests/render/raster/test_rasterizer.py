@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numba import typeof
 
 from mjhab.core.errors import UsageError
 from mjhab.render.build_scene import SceneBuilder
@@ -13,6 +14,7 @@ from mjhab.render.gl_probe import GL_BACKENDS, renderer_probe
 from mjhab.render.mesh_levels import corner_normals
 from mjhab.render.primitives import primitive_mesh
 from mjhab.render.raster.rasterizer import Cameras, Rasterizer, look_at
+from mjhab.render.raster.scenery import make_scenery
 from mjhab.scenes.builtin.materials import Material
 from mjhab.scenes.shapes.meshes import Mesh
 from mjhab.scenes.spec import Geom, Light
@@ -197,6 +199,16 @@ def test_instances_move_resize_and_vanish_per_home():
     rgb = image["rgb"][:, SIZE[1] // 2, SIZE[0] // 2].astype(int)
     assert rgb[2, 0] > 80 > rgb[2, 2] and rgb[0, 2] > 80 > rgb[0, 0]
     np.testing.assert_array_equal(image["rgb"][0], image["rgb"][3])
+
+
+def test_kernels_are_compiled_for_one_kind_of_scenery():
+    """A pack of one home would cost many seconds of compiling."""
+    kinds = set()
+    for homes in (1, 2):
+        builder = SceneBuilder(homes)
+        builder.add_world_geom(Geom("box", (0.2, 0.2, 0.2), (0.0, 0.0, 0.0)), seg="box")
+        kinds.add(typeof(make_scenery(builder.build())))
+    assert len(kinds) == 1
 
 
 def test_parked_pieces_are_not_drawn():

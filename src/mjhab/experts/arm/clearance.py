@@ -142,7 +142,7 @@ class RobotSpheres:
 
     def _frames(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """World positions (N, L, 3) and rotations (N, L, 3, 3) of the chain's links."""
-        return link_frames(tree_of(self.chain), np.ascontiguousarray(q, dtype=np.float64))
+        return link_frames(tree_of(self.chain), np.array(q, np.float64, order="C"))
 
     @cached_property
     def _by_link(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

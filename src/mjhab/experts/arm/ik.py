@@ -15,6 +15,7 @@ from typing import Literal
 import numpy as np
 
 from mjhab.core.joints import BASE
+from mjhab.core.kernels.arrays import read_only
 from mjhab.core.rotations import mat_from_rotation_vector, rotation_vector, wrap
 from mjhab.experts.arm import ik_kernels
 from mjhab.experts.arm.frame_kernels import tree_of
@@ -167,11 +168,11 @@ def solve(
     pos_err, rot_err = ik_kernels.reach(
         tree_of(chain),
         flat,
-        _floats(goals.pos),
-        _floats(goals.rot),
+        read_only(goals.pos),
+        read_only(goals.rot),
         ik_kernels.MODES[goals.mode],
         goals.dofs,
-        _floats(goals.rest),
+        read_only(goals.rest),
         options.iterations,
         options.rest_gain,
         options.max_step,
@@ -213,7 +214,8 @@ def servo(
         (N, Q) changes of the columns, zero for those that may not move, inside the joint limits, and scaled together
         so that no joint exceeds `ARM_STEP_RAD` or `TORSO_STEP_M`.
     """
-    q = np.atleast_2d(_floats(q))
+    # Written to, as in `solve`: the kernels they share are compiled once.
+    q = np.array(q, np.float64, order="C", ndmin=2)
     # The error is that after the step: the base moves meanwhile.
     ahead = q
     if base_next is not None:
@@ -223,11 +225,11 @@ def servo(
         tree_of(chain),
         ahead,
         q,
-        _floats(goals.pos),
-        _floats(goals.rot),
+        read_only(goals.pos),
+        read_only(goals.rot),
         ik_kernels.MODES[goals.mode],
         goals.dofs,
-        _floats(goals.rest),
+        read_only(goals.rest),
         rest_gain,
         step_limits(chain),
     )
@@ -283,8 +285,3 @@ def straight_line(
     return pos + share[:, None] * offset, mat_from_rotation_vector(
         share[:, None] * spin
     ) @ rot
-
-
-def _floats(values: np.ndarray) -> np.ndarray:
-    """An array in the layout that the kernels are compiled for: contiguous float64."""
-    return np.ascontiguousarray(values, dtype=np.float64)

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mjhab.core.errors import UsageError, unknown_name
+from mjhab.core.kernels.arrays import read_only
 from mjhab.core.machine import cores
 from mjhab.core.typed.checks import check, check_least, check_shape
 from mjhab.render.raster.arrays import Bodies, Lens, make_scratch
@@ -178,7 +179,7 @@ class Rasterizer:
                 home index or size out of range.
         """
         _check_names(outputs, quality)
-        home = _read_only(np.asarray(home, np.int64))
+        home = read_only(home, np.int64)
         width = cameras.width
         height = cameras.height
         cam_pos = _array(cameras.pos, (len(home), -1, 3), "cam_pos")
@@ -384,8 +385,8 @@ class Rasterizer:
         for k, color in enumerate(scene.light_color[home]):
             if not color.any():
                 continue
-            place = _read_only(scene.light_pos[home, k])
-            lens = Lens(place, _read_only(np.eye(3)), float(focal), 0.05, LEVEL_ERROR)
+            place = read_only(scene.light_pos[home, k])
+            lens = Lens(place, read_only(np.eye(3)), float(focal), 0.05, LEVEL_ERROR)
             below = shot._replace(lens=lens)
             with self._lock:
                 still = self._shadows.get((home, k))
@@ -415,14 +416,7 @@ def _array(value: np.ndarray, shape: tuple[int, ...], name: str) -> np.ndarray:
     if array.ndim == len(shape) - 1 and shape[-2:] == (3, 3) and array.shape[-1] == 9:
         array = array.reshape(*array.shape[:-1], 3, 3)
     check_shape(name, array, shape)
-    return _read_only(array)
-
-
-def _read_only(array: np.ndarray) -> np.ndarray:
-    """A contiguous read-only view. Numba compiles a kernel again for arrays that differ in writeability."""
-    view = np.ascontiguousarray(array).view()
-    view.flags.writeable = False
-    return view
+    return read_only(array)
 
 
 def _images(

@@ -88,8 +88,9 @@ def _placing(scene: RenderScene, geometry: Geometry) -> Placing:
         scene.home_mat,
         scene.home_scale,
         present,
-        ends[::2],
-        ends[1::2],
+        # Of one home they would be contiguous without a copy, and the kernels compiled once more.
+        ends[::2].copy(),
+        ends[1::2].copy(),
         np.ascontiguousarray(
             np.concatenate([center, radius[:, None]], axis=1).T, np.float32
         ),

@@ -66,12 +66,18 @@ class _Mounts(NamedTuple):
 
 
 def build_render_scene(layout: Layout, model: mujoco.MjModel) -> RenderScene:
-    """Build the render scene of all homes of a layout.
+    """The render scene of all homes of a layout; layouts of one pack, roster and robot share it.
 
     Args:
         layout: robot, homes, furniture and objects.
         model: the compiled model of any home of the layout; gives the body ids, which all homes share.
     """
+    # It takes a second for the built-in homes, and evaluations and tests open many environments of them.
+    key = ("render scene", layout.roster, layout.robot)
+    return layout.pack.derived.get(key, lambda: _build(layout, model))
+
+
+def _build(layout: Layout, model: mujoco.MjModel) -> RenderScene:
     homes = layout.pack.homes
     builder = SceneBuilder(len(homes), {**MATERIALS, **layout.robot.materials})
     meshes = layout.pack.meshes

@@ -16,6 +16,6 @@ def test_folders_import_those_below_them_alone() -> None:
     assert folders == set(FROM_BELOW)
     for level, folder in enumerate(FROM_BELOW):
         above = tuple(f"mjhab.experts.{name}." for name in FROM_BELOW[level + 1 :])
-        for path in (root / folder).glob("*.py"):
+        for path in (root / folder).rglob("*.py"):
             wrong = [name for name in imported(path) if f"{name}.".startswith(above)]
             assert not wrong, f"{folder}/{path.name} imports {wrong} of a folder above it"

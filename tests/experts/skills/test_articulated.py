@@ -15,7 +15,8 @@ from mjhab.envs.sequential import SequentialTaskEnv
 from mjhab.experts import make_expert
 from mjhab.experts.arm import motion
 from mjhab.experts.planning import link_motions
-from mjhab.experts.skills import door, door_motions, drawer
+from mjhab.experts.skills import drawer
+from mjhab.experts.skills.doors import arc, motions, sweeping
 from mjhab.robots.fetch.robot import ROBOT
 from mjhab.tasks.style import Styles
 
@@ -176,8 +177,8 @@ def test_pull_stances_hold_the_bar(env: SequentialTaskEnv) -> None:
 
 def test_pull_stances_follow_the_arc(env: SequentialTaskEnv) -> None:
     link = plan_link(env, DOOR)
-    found = link_motions.cached(ROBOT, link, "pull", door_motions.pull_motions)
-    angles = door_motions.pull_angles(link)
+    found = link_motions.cached(ROBOT, link, "pull", motions.pull_motions)
+    angles = motions.pull_angles(link)
     assert len(found) > 20
     assert angles[-1] > 0.75 * link.range[1]
     for k in range(1, len(angles)):
@@ -187,8 +188,8 @@ def test_pull_stances_follow_the_arc(env: SequentialTaskEnv) -> None:
 
 def test_hand_gets_in_behind_an_open_door(env: SequentialTaskEnv) -> None:
     link = plan_link(env, DOOR)
-    found = link_motions.cached(ROBOT, link, "push_open", door_motions.push_open)
-    angles = door_motions.push_angles(link, half=False)
+    found = link_motions.cached(ROBOT, link, "push_open", motions.push_open)
+    angles = motions.push_angles(link, half=False)
     assert len(found) > 20
     hand = motion.spheres(ROBOT).only(("wrist_roll_link", "gripper_link"))
     assert hand.clearance(found.q[:, 0], link.boxes(link.range[1])).min() > 0.03
@@ -215,9 +216,9 @@ def test_thrown_door_coasts(speed: float) -> None:
     v = speed
     while v > 0:
         way += v * dt
-        v -= (v + door.COAST_STOP_RAD_S) / door.COAST_TIME_S * dt
-    assert door._coasts(speed) == pytest.approx(way, abs=1e-3)
-    assert door._coasts(-speed) == 0.0
+        v -= (v + arc.COAST_STOP_RAD_S) / arc.COAST_TIME_S * dt
+    assert arc.coasts(speed) == pytest.approx(way, abs=1e-3)
+    assert arc.coasts(-speed) == 0.0
 
 
 def test_frame_round_trip(env: SequentialTaskEnv) -> None:
@@ -238,7 +239,7 @@ def test_withdrawn_hand_moves_straight_back(env: SequentialTaskEnv) -> None:
     q = link_motions.cached(
         ROBOT, plan_link(env, DRAWER), "pull", drawer._pull_motions
     ).q[:, 1]
-    moved = door._withdrawn(ROBOT, q, 0.05)
+    moved = arc.withdrawn(ROBOT, q, 0.05)
     (start, rot) = ROBOT.chain.tip_pose(q)
     (end, _) = ROBOT.chain.tip_pose(moved)
     done = np.abs(moved - q).max(axis=1) > 0
@@ -263,7 +264,7 @@ def test_sweeps_come_from_outside_and_end_at_the_closed_door(
     env: SequentialTaskEnv, angle: float
 ) -> None:
     link = plan_link(env, DOOR)
-    found = door_motions.sweeps(ROBOT, link, angle)
+    found = sweeping.sweeps(ROBOT, link, angle)
     arm = motion.spheres(ROBOT)
     clear = arm.clearance(found.q[:, 0], link.boxes(angle))
     near = arm.clearance(found.q[:, -1], link.boxes(0.0))

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from mjhab.envs.parts.world_view import WorldView
 from mjhab.experts.arm import motion
-from mjhab.experts.skills.door import close_door, open_door
+from mjhab.experts.skills.doors.closing import close_door
+from mjhab.experts.skills.doors.opening import open_door
 from mjhab.experts.skills.drawer import close_drawer, open_drawer
 
 Motion = motion.Motion

@@ -14,8 +14,6 @@ from itertools import product
 import numpy as np
 
 from mjhab.core.boxes import Boxes
-from mjhab.core.joints import BASE
-from mjhab.core.timing import STEP_SECONDS
 from mjhab.envs.parts.world_view import JointedLink
 from mjhab.experts.arm import ik, motion
 from mjhab.experts.planning import link_motions
@@ -49,21 +47,6 @@ PUSH_YAWS_RAD = ((0.25, 0.4), (0.5, 0.4), (0.8, 0.4), (1.1, 0.4))
 pair is for half open doors only: behind a door that is open by 2.2 rad, a hand at yaw 0.6 is parallel to it, and at
 smaller yaws the hand touches the edge of the door on its way in."""
 
-SWEEP_STEP_M = 0.05
-"""Distance between two poses of the base at which a sweep is checked."""
-SWEEP_SPEED_M_S = 0.7
-"""Speed of the base while it sweeps a door shut with the arm at rest."""
-SWEEP_CLEAR_RAD = 0.08
-"""Angle between the door and the robot at the beginning of a sweep."""
-SWEEP_TURN_RAD = 0.3
-"""Largest turn of the door per `SWEEP_STEP_M`; larger ones mean that the arm meets the edge or the inside."""
-SWEEP_OUTSIDE_M = 0.04
-"""Least distance from the outside of the door at which a part of the robot comes past its edge."""
-SWEEP_END_RAD = -0.03
-"""Door angle at which a sweep ends: a little beyond the closed door, so that the arm presses it."""
-SWEEP_POINTS = 6
-"""Way points of a sweep."""
-
 
 def pull_angles(link: JointedLink, further: float = 0.0) -> np.ndarray:
     """Door angles (10,) [rad] of the way points of `pull_motions`; at the first the hand is in front of the bar.
@@ -81,15 +64,15 @@ def push_angles(link: JointedLink, half: bool) -> np.ndarray:
     return np.append(np.linspace(first, 0.0, 10), -PRESS_PAST_RAD)
 
 
-def _hand_side(link: JointedLink) -> float:
+def hand_side(link: JointedLink) -> float:
     """1 for a door with its bar at negative y, the left as seen from outside; -1 for its mirror image."""
     return -float(np.sign(link.handle.pos[1]))
 
 
 def _inward(link: JointedLink) -> float:
     """Offset along y from the bar to the pushed point, at least `FROM_EDGE_M` from the edge; 0 for most doors."""
-    m = _hand_side(link)
-    (low, high) = _panel(link)
+    m = hand_side(link)
+    (low, high) = panel(link)
     edge = (low if m > 0 else high)[1]
     lack = FROM_EDGE_M - abs(edge - link.handle.pos[1])
     return m * lack if lack > 0.001 else 0.0
@@ -135,7 +118,7 @@ def _in_reach(robot: Robot, base: np.ndarray, hands: np.ndarray) -> np.ndarray:
     return (far.max(axis=1) < farthest) & (far.min(axis=1) > nearest)
 
 
-def _panel(link: JointedLink) -> tuple[np.ndarray, np.ndarray]:
+def panel(link: JointedLink) -> tuple[np.ndarray, np.ndarray]:
     """Least and greatest corner (3,) of the closed door's largest box, its panel."""
     boxes = link.boxes(0.0)
     k = int(np.argmax(boxes.half.prod(axis=1)))
@@ -145,7 +128,7 @@ def _panel(link: JointedLink) -> tuple[np.ndarray, np.ndarray]:
 
 def _carcass(link: JointedLink) -> Boxes:
     """Box of the furniture behind the closed door."""
-    low, high = _panel(link)
+    low, high = panel(link)
     middle = np.array([low[0] - 0.006 - 0.31, (low[1] + high[1]) / 2, 0.975])
     return Boxes(
         middle[None], np.array([[0.31, (high[1] - low[1]) / 2, 0.975]]), np.eye(3)[None]
@@ -213,7 +196,7 @@ def pull_motions(robot: Robot, link: JointedLink, further: float = 0.0) -> LinkM
     grip = np.array([link.handle_pose(max(a, 0.0))[0] for a in angles])
     grip[:, 2] += ABOVE_MIDDLE_M
     share = np.clip(angles / angles[-1], 0.0, 1.0)
-    m = _hand_side(link)
+    m = hand_side(link)
     thick = link.handle.thickness > THICK_BAR_M
     headings = m * np.array([0.6, 0.9, 1.2, 1.5] if thick else [0.3, 0.6, 0.9])
     lengths = (0.5, 0.65, 0.8, 0.95) if thick else (0.4, 0.6)
@@ -252,13 +235,13 @@ def _push_motions(robot: Robot, link: JointedLink, half: bool) -> LinkMotions:
     angles = push_angles(link, half)
     share = np.clip(1.0 - angles / angles[0], 0.0, 1.0)
     lengths = (-1.0, -0.8, -0.6, -0.4)
-    m = _hand_side(link)
+    m = hand_side(link)
     headings = m * np.array([0.2, 0.45, 0.7, 0.95, 1.2])
     base = _line(
         np.arange(0.8, 1.7, 0.1), m * np.arange(-0.1, 1.25, 0.1), headings, lengths, share
     )
     handle = link.handle
-    face = _panel(link)[1][0]
+    face = panel(link)[1][0]
     inward = _inward(link)
     found = []
     for first, last in PUSH_YAWS_RAD if half else PUSH_YAWS_RAD[1:]:
@@ -285,86 +268,3 @@ def _push_motions(robot: Robot, link: JointedLink, half: bool) -> LinkMotions:
         tries = 5 if half else 8
         found.append(_search(robot, link, base, hands, tries=tries, mode="approach"))
     return LinkMotions.join(found)
-
-
-def sweeps(robot: Robot, link: JointedLink, angle: float) -> LinkMotions:
-    """Find straight drives with the arm at rest that push a door shut from its outside.
-
-    The door is a plane that turns around its hinge, the robot a set of circles seen from above: those of its spheres
-    that are as high as the door. The door angle along a drive is the largest one at which no circle cuts the plane.
-
-    Args:
-        robot: the robot.
-        link: the door.
-        angle: present angle of the door [rad].
-
-    Returns:
-        Motions with `SWEEP_POINTS` way points.
-    """
-    low, high = _panel(link)
-    m = _hand_side(link)
-    centers, radius = _resting_circles(robot, float(low[2]), float(high[2]))
-    base = _drives(m)
-    c = np.cos(base[..., 2, None])
-    s = np.sin(base[..., 2, None])
-    x = base[..., 0, None] + c * centers[:, 0] - s * centers[:, 1]
-    y = m * (base[..., 1, None] + s * centers[:, 0] + c * centers[:, 1])
-    gap = radius + high[0]
-    far = np.hypot(x, y)
-    bearing = np.arctan2(y, x)
-    meets = far**2 - gap**2 < (float(np.abs([low[1], high[1]]).max()) + radius) ** 2
-    widest = bearing + np.arccos(np.minimum(gap / np.maximum(far, 1e-9), 1.0))
-    widest = np.where(meets, widest, np.inf).min(axis=2)
-    # Positions before the last one that is clear of the door do not matter: the sweep begins there.
-    first = _last_clear(widest > angle + SWEEP_CLEAR_RAD)
-    row = np.arange(base.shape[1])
-    door = np.where(row <= first[:, None], angle, np.minimum(widest, angle))
-    door = np.minimum.accumulate(door, axis=1)
-    before = np.c_[np.full(len(door), angle), door[:, :-1]]
-    outside = far * np.cos(before[..., None] - bearing) - high[0]
-    enters = meets.copy()
-    enters[:, 1:] &= ~meets[:, :-1]
-    wrong = (enters & (outside < SWEEP_OUTSIDE_M)).any(axis=2) | (
-        before - door > SWEEP_TURN_RAD
-    )
-    shut = door <= SWEEP_END_RAD
-    last = shut.argmax(axis=1)
-    wrong &= (row > first[:, None]) & (row <= last[:, None])
-    fits = (first >= 0) & shut.any(axis=1) & ~wrong.any(axis=1)
-    found = [
-        np.linspace(base[i, first[i]], base[i, last[i]], SWEEP_POINTS)
-        for i in np.flatnonzero(fits)
-    ]
-    q = np.repeat(robot.rest[None, None], SWEEP_POINTS, axis=1)
-    q = np.repeat(q, len(found), axis=0)
-    q[..., BASE] = np.array(found).reshape(len(found), SWEEP_POINTS, 3)
-    length = np.linalg.norm(q[:, -1, :2] - q[:, 0, :2], axis=1)
-    return LinkMotions(q, np.zeros(len(q)), length / SWEEP_SPEED_M_S / STEP_SECONDS)
-
-
-def _drives(m: float) -> np.ndarray:
-    """Poses (N, K, 3) of the base on straight drives towards the outside of an open door; ``m``: `_hand_side`."""
-    headings = np.pi + m * np.arange(0.5, 1.71, 0.1)
-    asides = np.arange(-0.8, 0.81, 0.05)
-    along = np.arange(-1.8, 0.4, SWEEP_STEP_M)
-    yaw, aside = (part.ravel()[:, None] for part in np.meshgrid(headings, asides))
-    x = np.cos(yaw) * along - np.sin(yaw) * aside
-    y = np.sin(yaw) * along + np.cos(yaw) * aside
-    return np.stack([0.4 + x, y, np.broadcast_to(yaw, x.shape)], axis=2)
-
-
-def _last_clear(clear: np.ndarray) -> np.ndarray:
-    """Index (N,) of the last position before the first one of (N, K) that is not clear; -1 for none."""
-    return np.where(clear.all(axis=1), -1, (~clear).argmax(axis=1) - 1)
-
-
-def _resting_circles(
-    robot: Robot, low: float, high: float
-) -> tuple[np.ndarray, np.ndarray]:
-    """Centres (C, 2) in the frame of the base and radii (C,) of the resting robot's spheres between two heights [m]."""
-    whole = motion.spheres(robot)
-    rest = robot.rest.copy()
-    rest[BASE] = 0.0
-    centers = whole.centers(whole.chain.forward(rest[None]))[0]
-    there = (centers[:, 2] + whole.radius > low) & (centers[:, 2] - whole.radius < high)
-    return centers[there, :2], whole.radius[there]

@@ -1,0 +1,1 @@
+"""Hinged doors: opening, closing, and the motions for both."""

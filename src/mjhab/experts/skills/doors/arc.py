@@ -1,0 +1,147 @@
+"""What opening and closing a door have in common: which motion, how fast along its arc, and when it is stuck.
+
+Lengths [m], angles [rad], world frame. Letters: K way points of a motion, N and M configurations, J joints.
+
+Numbers that name no source were chosen by hand on homes of the split train; they were not swept.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mjhab.core.boxes import Boxes
+from mjhab.core.joints import BASE
+from mjhab.envs.parts.world_view import JointedLink, WorldView
+from mjhab.experts.arm import ik, motion
+from mjhab.experts.planning import approach, link_motions
+from mjhab.experts.planning.link_motions import Frame, LinkMotions
+from mjhab.experts.planning.link_path import LinkPath
+from mjhab.robots.robot import Robot
+
+MOTIONS_TRIED = 16
+"""Number of motions whose clearance is checked."""
+MAX_SWING_RAD = 0.045
+"""Largest change of the commanded door angle per control step."""
+MAX_LAG_STEPS = 12
+"""Control steps for which the door may lag behind the end of the path before the motion gives up."""
+JAMMED_FORCE_N = 300.0
+JAMMED_STEPS = 2
+"""Sum of the contact forces on the robot's links with which a motion is given up after so many more control steps."""
+ARC_STEPS = 110
+"""Control steps after which a motion along the arc is given up: little more than half of a subtask's."""
+AJAR_SHARE = 0.009
+"""Share of the range above which a door is pushed again."""
+COAST_TIME_S = 1.4
+"""A released door decelerates by (speed + COAST_STOP_RAD_S) / COAST_TIME_S. Both constants follow from inertia, damping
+and friction ("ours") of the doors of the built-in homes, and predict how far a released door swings. With the published
+damping and friction it swings on until it is shut, and is released later than it could be."""
+COAST_STOP_RAD_S = 0.5
+"""See `COAST_TIME_S`."""
+COAST_SPARE_RAD = 0.1
+"""A door is released when it will swing this much farther than needed; a much faster door bounces open again."""
+AT_REST_RAD = 0.002
+"""Largest motion per control step of a door at rest."""
+PRESS_STEPS = 2
+"""Control steps for which a closed door must be at rest."""
+
+
+@dataclass
+class Hitch:
+    """Tells when a motion along the arc of a door is stuck: it jams, or the door stays behind the end of the path."""
+
+    jammed: int = 0
+    late: int = 0
+
+    def stops(self, view: WorldView, at_end: bool) -> bool:
+        """Whether to give up in this control step; ``at_end``: the hand aims at the end of the path."""
+        self.jammed = self.jammed + 1 if view.link_forces.sum() > JAMMED_FORCE_N else 0
+        self.late = self.late + 1 if at_end else 0
+        return self.jammed > JAMMED_STEPS or self.late > MAX_LAG_STEPS
+
+
+def arc_step(path: LinkPath, angle: float, swing: float, joint_step: float) -> float:
+    """Change of the door angle [rad] per control step that the arm's joints can follow at ``angle``.
+
+    Args:
+        path: configurations along the door's arc.
+        angle: door angle [rad].
+        swing: largest change, negative while the door closes [rad].
+        joint_step: motion of an arm joint per control step [rad].
+    """
+    ahead = float(np.copysign(0.1, swing))
+    motions = np.abs(path.at(angle + ahead) - path.at(angle))
+    fastest = float(motions[list(path.robot.arm_columns)].max())
+    return min(abs(swing), 0.1 * joint_step / max(fastest, 1e-6))
+
+
+def reachable(
+    view: WorldView,
+    link: JointedLink,
+    found: LinkMotions,
+    angles: np.ndarray,
+    back: float = 0.0,
+) -> LinkPath | None:
+    """Select the motion that is reached first among those whose whole motion is collision-free in this home.
+
+    Args:
+        view: the world.
+        link: the door.
+        found: motions in the plan frame.
+        angles: (K,) door angles of their way points [rad].
+        back: length of the hand's straight line to the first way point; 0 for none.
+
+    Returns:
+        The motion in the world, with the route to it; None if there is none.
+    """
+    goals, _ = link_motions.rank(view, Frame.of(link), found)
+    walls = Boxes.join([view.home.boxes, view.link_boxes((link.id,))])
+    # Neighbours collide alike: variety finds a free motion with fewer checks.
+    goals = goals[_distinct(goals[:, 0, :3])[:MOTIONS_TRIED]]
+    free = np.array(
+        [g for g in goals if motion.spheres(view.robot).clearance(g, walls).min() > 0.01]
+    )
+    if not len(free):
+        return None
+    before = withdrawn(view.robot, free[:, 0], back) if back > 0 else None
+    best = approach.best_route(view, free[:, 0], before, link if back > 0 else None)
+    return None if best is None else LinkPath(view.robot, free[best[0]], angles, best[1])
+
+
+def _distinct(base: np.ndarray) -> np.ndarray:
+    """Indices of the first base pose (N, 3) in every grid cell of 0.1 m, 0.1 m, 0.2 rad, in ascending order."""
+    _, first = np.unique(np.round(base / [0.1, 0.1, 0.2]), axis=0, return_index=True)
+    return np.sort(first)
+
+
+def withdrawn(body: Robot, q: np.ndarray, back: float) -> np.ndarray:
+    """Configurations ``q`` (M, J) with the hand moved back by ``back`` along its axis; unchanged where that fails."""
+    robot = body.chain
+    pos, rot = robot.tip_pose(q)
+    found = ik.solve(
+        robot,
+        ik.TipGoals(pos - back * rot[:, :, 0], rot, ik.columns(robot), q[0]),
+        q[:, None],
+        options=ik.Options(iterations=25, rest_gain=0.0),
+    )
+    # A solution far off is another branch, to which no straight line leads.
+    near = np.abs(found.q[:, 0, BASE.stop :] - q[:, BASE.stop :]).max(axis=1) < 1.2
+    good = (
+        found.ok[:, 0]
+        & near
+        & (
+            motion.spheres(body).self_clearance(found.q[:, 0])
+            > link_motions.SELF_CLEARANCE_M
+        )
+    )
+    return np.where(good[:, None], found.q[:, 0], q)
+
+
+def coasts(speed: float) -> float:
+    """Angle [rad] by which a released door swings on at a closing speed [rad/s], see `COAST_TIME_S`."""
+    if not 0.0 < speed < np.inf:
+        return 0.0
+    return COAST_TIME_S * (
+        speed - COAST_STOP_RAD_S * float(np.log1p(speed / COAST_STOP_RAD_S))
+    )

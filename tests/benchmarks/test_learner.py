@@ -6,7 +6,9 @@ import json
 
 import pytest
 
+from benchmarks import learner
 from benchmarks.learner import main
+from mjhab.learning.reinforcement.configs import ReinforcementConfig, changed
 
 COMMAND = [
     "--rounds",
@@ -17,15 +19,23 @@ COMMAND = [
     "4",
     "--threads",
     "1",
+    "--json",
 ]
 
 
 def test_it_measures_with_the_worlds_of_the_preset(
-    capsys: pytest.CaptureFixture[str],
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    assert main([*COMMAND, "--json"]) == 0
+    """Presets as they are, but for worlds that would take minutes."""
+    preset = learner.reinforcement_preset
+
+    def few(*names: str) -> ReinforcementConfig:
+        return changed(preset(*names), {"worlds": 3, "episode_pool": 3})
+
+    monkeypatch.setattr(learner, "reinforcement_preset", few)
+    assert main(COMMAND) == 0
     found = json.loads(capsys.readouterr().out.splitlines()[-1])
-    assert found["ppo"]["worlds"] > 1 and found["ppo"]["ppo_sps"] > 0
+    assert found["ppo"]["worlds"] == 3 and found["ppo"]["ppo_sps"] > 0
     assert [row["batch"] for row in found["sac"]] == [4, 4]
     assert all(row["updates_per_second"] > 0 for row in found["sac"])
 

@@ -110,19 +110,26 @@ FORBIDDEN_IN_MATH = {"fsum", "sumprod", "fma"}
 FORBIDDEN_MODULES = {"random", "statistics"}
 
 
+Nodes = tuple[ast.AST, ...]
+
+
 @functools.cache
-def trees() -> dict[str, ast.Module]:
+def sources() -> dict[str, Nodes]:
+    """All nodes of every file; walking through a tree takes longer than making it."""
     return {
-        path.relative_to(SOURCE).as_posix(): ast.parse(path.read_text(encoding="utf-8"))
+        path.relative_to(SOURCE).as_posix(): nodes_of(path.read_text(encoding="utf-8"))
         for path in sorted(SOURCE.rglob("*.py"))
     }
 
 
-def summands(tree: ast.AST) -> Iterator[ast.expr]:
+def nodes_of(source: str) -> Nodes:
+    return tuple(ast.walk(ast.parse(source)))
+
+
+def summands(nodes: Nodes) -> Iterator[ast.expr]:
     """What every use of the built-in ``sum`` adds: the element of its comprehension, or its argument."""
-    calls = [node for node in ast.walk(tree) if isinstance(node, ast.Call)]
-    called = {id(call.func): call for call in calls}
-    for node in ast.walk(tree):
+    called = {id(node.func): node for node in nodes if isinstance(node, ast.Call)}
+    for node in nodes:
         if isinstance(node, ast.Name) and node.id == "sum":
             call = called.get(id(node))
             # Not called here: sum is handed on, and nobody knows what it will add.
@@ -165,8 +172,8 @@ def test_no_built_in_sum_of_floats() -> None:
         for file, texts in sums.items()
         for text in texts
     }
-    for file, tree in trees().items():
-        for added in summands(tree):
+    for file, nodes in sources().items():
+        for added in summands(nodes):
             text = ast.unparse(added)
             if (file, text) not in listed and not is_integer(added):
                 wrong.append(f"{file}:{added.lineno}: sum of {text}")
@@ -189,16 +196,16 @@ def test_no_built_in_sum_of_floats() -> None:
     ],
 )
 def test_the_rule_finds_sums_of_floats(source: str) -> None:
-    found = list(summands(ast.parse(source)))
+    found = list(summands(nodes_of(source)))
     assert len(found) == 1 and not is_integer(found[0])
 
 
 def test_nothing_else_that_differs_between_versions_or_runs() -> None:
     wrong: list[str] = []
-    for file, tree in trees().items():
+    for file, nodes in sources().items():
         # Benches take medians of times; policies of others may use the global generators, which are seeded.
         if not file.startswith(("bench/", "evaluation/global_random")):
-            for node in ast.walk(tree):
+            for node in nodes:
                 wrong += [f"{file}:{line}: {what}" for line, what in _faults(node)]
     assert not wrong, wrong
 
@@ -222,18 +229,18 @@ def _faults(node: ast.AST) -> Iterator[tuple[int, str]]:
 def test_folders_are_listed_in_order() -> None:
     wrong: list[str] = []
     unordered: set[str] = set()
-    for file, tree in trees().items():
+    for file, nodes in sources().items():
         if file.split("/")[0] not in COMPUTING:
             continue
         ordered = {
             id(inner)
-            for node in ast.walk(tree)
+            for node in nodes
             if isinstance(node, ast.Call)
             and isinstance(node.func, ast.Name)
             and node.func.id in ("sorted", "any", "all")
             for inner in ast.walk(node)
         }
-        for node in ast.walk(tree):
+        for node in nodes:
             if not isinstance(node, ast.Attribute):
                 continue
             listing = node.attr in (
@@ -255,9 +262,9 @@ def test_sets_are_not_walked_through() -> None:
     """The order of a set of strings changes from process to process."""
     wrong = [
         f"{file}:{node.iter.lineno}"
-        for file, tree in trees().items()
+        for file, nodes in sources().items()
         if file.split("/")[0] in COMPUTING
-        for node in ast.walk(tree)
+        for node in nodes
         if isinstance(node, ast.For)
         and _is_set(node.iter)
         # Only checks, which raise for any of them.

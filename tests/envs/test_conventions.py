@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-import torch
 from scipy.spatial.transform import Rotation
 
 from mjhab.core.conventions.names import PUBLISHED, Conventions
@@ -15,7 +14,6 @@ from mjhab.envs import make
 from mjhab.envs.wrappers import FlattenStatePixels, FrameStack
 from mjhab.experts.arm.motion import rest_goal
 from mjhab.robots.fetch.robot import ROBOT
-from tests.missing import need_warp
 from tests.real_data import real_data
 
 BOXES = {
@@ -90,19 +88,6 @@ def test_the_wrappers_of_the_original_show_what_the_environment_observes() -> No
     told, _ = FlattenStatePixels(FrameStack(env, 3)).reset(seed=0)
     np.testing.assert_array_equal(told["state"], env.state_as(PUBLISHED))
     env.close()
-
-
-def test_a_device_observes_the_same_axes() -> None:
-    need_warp()
-    device = {"backend": "warp", "device": "cpu", "starts": 2}
-    for profile, turn in (("mjhab", 0.0), ("ms_hab", 87.3)):
-        env: Any = make(**options("010_potted_meat_can", profile=profile, **device))
-        obs, _ = env.reset(seed=0)
-        seen = rotation(obs[KEY][0].numpy())
-        wanted = in_base(env, 0) * Rotation.from_rotvec([0.0, 0.0, math.radians(turn)])
-        assert math.degrees((wanted.inv() * seen).magnitude()) < 0.06
-        assert torch.equal(env.state_as(env.config.conventions), obs["state"])
-        env.close()
 
 
 def test_a_joint_that_was_turned_round_is_observed_within_half_a_turn_in_our_profile() -> (

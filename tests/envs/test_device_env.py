@@ -14,6 +14,7 @@ import pytest
 import torch
 
 from mjhab.core.arrays import map_record
+from mjhab.core.conventions.names import PUBLISHED, Conventions
 from mjhab.core.errors import UsageError
 from mjhab.core.rotations import pose_inv, pose_mul
 from mjhab.envs import make, make_train
@@ -179,16 +180,24 @@ def test_a_full_turn_and_the_other_quaternion_are_the_same_state(env: Any) -> No
 
 
 def test_profiles_are_the_same_on_the_device() -> None:
+    """The axes of this object differ by 87 degrees between the profiles."""
     options = {
         "task": "tidy_house",
         "subtask": "place",
+        "target": "010_potted_meat_can",
         "num_envs": 1,
         "profile": "ms_hab",
     }
     cpu = make_train(**options, threads=1)
     dev = make_train(**options, **(DEVICE | {"starts": 2}))
-    cpu.reset(options={"episode": [0]})
-    dev.reset(options={"episode": [0]})
+    theirs, _ = cpu.reset(options={"episode": [0]})
+    ours, _ = dev.reset(options={"episode": [0]})
+    compare(ours, theirs)
+    for each in (Conventions(), PUBLISHED):
+        seen = np.asarray(dev.state_as(each))
+        np.testing.assert_allclose(seen, cpu.state_as(each), atol=0.02)
+    assert not torch.allclose(dev.state_as(Conventions()), ours["state"], atol=0.5)
+    assert torch.equal(dev.state_as(dev.config.conventions), ours["state"])
     np.testing.assert_array_equal(dev.sim.qpos.numpy(), cpu.sim.qpos.astype(np.float32))
     assert dev.config.profile == "ms_hab" and dev.task_config == cpu.task_config
     assert (

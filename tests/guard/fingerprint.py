@@ -38,6 +38,7 @@ SUBTASKS: dict[str, tuple[str, ...]] = {
     "prepare_groceries": ("pick", "place", "navigate"),
 }
 ENV_STEPS = 200
+SMALL_ENV = "mjhab/PickSubtaskTrain-v1"
 RUN_ID = re.compile(r"episodes/[0-9a-f]{8}-")
 RUNS = "runs/"
 """Group of a shard that tells which code made its episodes."""
@@ -113,7 +114,7 @@ def fingerprints(small: bool, data: str = "") -> dict[str, str]:
     for env_id in sorted(
         name for name in gymnasium.registry if name.startswith("mjhab/")
     ):
-        if not small or "Pick" in env_id:
+        if not small or env_id == SMALL_ENV:
             found[f"env/{env_id}"] = env_fingerprint(
                 env_id, steps=20 if small else ENV_STEPS
             )

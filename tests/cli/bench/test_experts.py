@@ -32,18 +32,8 @@ from mjhab.core.errors import MjhabError
 from mjhab.rollout.records import EpisodeRecord, PlanEntry
 
 COMMAND = (
-    "bench",
-    "experts",
-    "--task",
-    "set_table",
-    "--subtask",
-    "open",
-    "--episodes",
-    "2",
-    "--worlds",
-    "1",
-    "--workers",
-    "1",
+    *("bench", "experts", "--task", "set_table", "--subtask", "close"),
+    *("--episodes", "2", "--worlds", "1", "--workers", "1"),
 )
 ROW = ExpertRow("builtin", "builtin", "tidy_house", "pick", "003_cracker_box", "", 4)
 EPISODE = MeasuredEpisode(
@@ -93,8 +83,8 @@ def test_two_rows_end_to_end(made: Path, capsys: pytest.CaptureFixture[str]) -> 
     rows = {row["target"]: row for row in table(made)}
     assert list(rows) == ["kitchen_counter/drawer3", "fridge/top_door", ALL]
     assert [row["episodes"] for row in rows.values()] == ["2", "2", "4"]
-    # MS-HAB paper, Table 11: RL-Per opens the drawer in 84.52 %, the fridge in 88.10 % of the val episodes.
-    assert [row["paper_rl_per"] for row in rows.values()] == ["84.52", "88.1", ""]
+    # MS-HAB paper, Table 11: RL-Per closes the drawer in 89.29 %, the fridge in 0 % of the val episodes.
+    assert [row["paper_rl_per"] for row in rows.values()] == ["89.29", "0.0", ""]
     lines = [
         json.loads(line)
         for line in (made / "episodes.jsonl").read_text(encoding="utf-8").splitlines()
@@ -123,7 +113,7 @@ def test_two_rows_end_to_end(made: Path, capsys: pytest.CaptureFixture[str]) -> 
         sum(line["success_once"] for line in lines[first : first + 2]) for first in (0, 2)
     ]
     page = (made / "report.html").read_text(encoding="utf-8")
-    assert "labels-open" in page and "paper-open" in page and "Partial" not in page
+    assert "labels-close" in page and "paper-close" in page and "Partial" not in page
     assert "stillness published; ours are of profile mjhab, stillness absolute." in page
     assert not re.findall(r"<(?:script|link|img|video)\b[^>]*\s(?:src|href)=[^>]*>", page)
     capsys.readouterr()
@@ -178,7 +168,7 @@ def test_a_stopped_run_goes_on_to_the_same_table(
 
 
 def _options(out: Path) -> ExpertsSpec:
-    return ExpertsSpec(out=out, task=("set_table",), subtask=("open",), episodes=2)
+    return ExpertsSpec(out=out, task=("set_table",), subtask=("close",), episodes=2)
 
 
 def test_a_row_that_fails_does_not_stop_the_others(
@@ -197,7 +187,7 @@ def test_a_row_that_fails_does_not_stop_the_others(
     assert "drawer3 could not be measured: no luck" in captured.err
     told = json.loads(captured.out)
     assert (
-        told["failed_rows"] == ["builtin/set_table_open_kitchen_counter-drawer3"]
+        told["failed_rows"] == ["builtin/set_table_close_kitchen_counter-drawer3"]
         and told["episodes"] == 4
     )
     assert "no luck" in (made / "report.html").read_text(encoding="utf-8")

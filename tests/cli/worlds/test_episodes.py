@@ -171,10 +171,16 @@ def test_broken_files_are_refused(
     )
 
 
-def test_check_of_real_episodes(capsys: pytest.CaptureFixture[str]) -> None:
-    path = real_data("hab_episodes", "tidy_house_v3_sc1_staging_01.json.gz")
+def test_check_of_real_episodes(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    whole = real_data("hab_episodes", "tidy_house_v3_sc1_staging_01.json.gz")
+    made = json.loads(gzip.decompress(whole.read_bytes()))
+    made["episodes"] = made["episodes"][::5]
+    path = tmp_path / whole.name
+    path.write_bytes(gzip.compress(json.dumps(made).encode()))
     said = machine(
         capsys, "episodes", "check", str(path), "--assets", str(real_data("replica_cad"))
     )
-    assert (said["episodes"], said["loaded"]) == (50, 50)
+    assert (said["episodes"], said["loaded"]) == (10, 10)
     assert said["at_rest"] > 0.99

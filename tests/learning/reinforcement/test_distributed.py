@@ -1,23 +1,41 @@
-"""Two processes that average gradients learn what one with twice the worlds learns."""
+"""Two processes: their averaged gradients, and runs of both that go on after a kill."""
 
 from __future__ import annotations
 
-import tempfile
+import dataclasses
+import os
+import socket
 from pathlib import Path
 
+import pytest
 import torch
 from torch.multiprocessing.spawn import spawn
 
+from mjhab.learning.checkpoint import load_checkpoint
+from mjhab.learning.reinforcement import session as sessions
 from mjhab.learning.reinforcement.agent_encoder import AgentEncoder, AgentObs
-from mjhab.learning.reinforcement.configs import changed
+from mjhab.learning.reinforcement.configs import SAC, SacConfig, changed
 from mjhab.learning.reinforcement.ppo.agent import Ppo
 from mjhab.learning.reinforcement.ppo.learner import PpoLearner, Rollout
 from mjhab.learning.reinforcement.worlds import Worlds
 from mjhab.learning.runs import distributed
+from tests.learning.reinforcement.test_runs import TINY, Killed, request
 from tests.learning.reinforcement.toy import LAYOUT, PPO_TOY, Toy
+from tests.learning.small import train_in
 
 CONFIG = changed(PPO_TOY, {"minibatches": 1, "epochs": 2, "target_kl": 0.0})
 ROWS = 64
+SHORT_EPISODES = dataclasses.replace(
+    TINY,
+    algorithm=SAC,
+    ppo=None,
+    sac=SacConfig(batch=8, warm_up=32, capacity=640, updates_per_step=0.25),
+    samples=432,
+    checkpoint_samples=144,
+    horizon=5,
+    worlds=4,
+)
+"""Episodes end at other steps in each of two processes."""
 
 
 def rollout(rows: slice) -> Rollout:
@@ -43,26 +61,67 @@ def learn(rows: slice) -> dict[str, torch.Tensor]:
     return agent.state_dict()
 
 
-def process(number: int, folder: str) -> None:
-    """One of two processes."""
+def free_port() -> int:
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        return free.getsockname()[1]
+
+
+def process(number: int, folder: str, port: int) -> None:
+    """One of two processes, as torchrun starts them: it learns, it trains, and it trains, is killed and resumes."""
+    own = {
+        "RANK": number,
+        "WORLD_SIZE": 2,
+        "MASTER_ADDR": "127.0.0.1",
+        "MASTER_PORT": port,
+    }
+    os.environ |= {name: str(value) for name, value in own.items()}
     torch.set_num_threads(1)
-    torch.distributed.init_process_group(
-        "gloo", init_method=f"file://{folder}/meet", rank=number, world_size=2
-    )
+    distributed.join()
     half = slice(number * ROWS // 2, (number + 1) * ROWS // 2)
     torch.save(learn(half), f"{folder}/{number}.pt")
+    told = request(SHORT_EPISODES)
+    timed = dataclasses.replace(told, budget_minutes=10.0)
+    # A run that is over makes no more samples when it is resumed.
+    for resume in (False, True):
+        train_in(timed, Path(folder) / "whole", resume)
+    check = sessions.ReinforcementSession.check_time
+
+    def killed(self: sessions.ReinforcementSession) -> None:
+        if self.state.samples >= 300:
+            raise Killed
+        check(self)
+
+    sessions.ReinforcementSession.check_time = killed  # type: ignore[method-assign]
+    with pytest.raises(Killed):
+        train_in(told, Path(folder) / "killed")
+    sessions.ReinforcementSession.check_time = check  # type: ignore[method-assign]
+    train_in(told, Path(folder) / "killed", resume=True)
     torch.distributed.destroy_process_group()
 
 
-def test_two_processes_learn_what_one_learns_from_all() -> None:
+@pytest.fixture(scope="module")
+def left(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """What two processes left."""
     assert distributed.processes() == 1
-    with tempfile.TemporaryDirectory() as folder:
-        spawn(process, (folder,), nprocs=2)
-        first, second = (
-            torch.load(Path(folder) / f"{number}.pt", weights_only=True)
-            for number in range(2)
-        )
+    folder = tmp_path_factory.mktemp("two")
+    spawn(process, (str(folder), free_port()), nprocs=2)
+    return folder
+
+
+def test_two_processes_learn_what_one_learns_from_all(left: Path) -> None:
+    first, second = (
+        torch.load(left / f"{number}.pt", weights_only=True) for number in range(2)
+    )
     alone = learn(slice(0, ROWS))
     for name, value in first.items():
         assert torch.equal(value, second[name]), name
         assert torch.allclose(value, alone[name], atol=1e-5), name
+
+
+def test_each_of_two_processes_goes_on_with_its_own_buffer(left: Path) -> None:
+    whole = load_checkpoint(left / "whole" / "training.safetensors")
+    assert whole.about["samples"] == SHORT_EPISODES.samples, "those of both count"
+    wanted = whole.tensors
+    found = load_checkpoint(left / "killed" / "training.safetensors").tensors
+    assert all(torch.equal(value, found[name]) for name, value in wanted.items())

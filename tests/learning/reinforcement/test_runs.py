@@ -6,7 +6,6 @@ import dataclasses
 import json
 import os
 import signal
-import socket
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -100,19 +99,6 @@ TINY_RLPD = dataclasses.replace(
 )
 
 
-SHORT_EPISODES = dataclasses.replace(
-    TINY,
-    algorithm=SAC,
-    ppo=None,
-    sac=SacConfig(batch=8, warm_up=32, capacity=640, updates_per_step=0.25),
-    samples=432,
-    checkpoint_samples=144,
-    horizon=5,
-    worlds=4,
-)
-"""Episodes end at other steps in each of two processes."""
-
-
 LONG_ROLLOUTS = dataclasses.replace(
     TINY,
     ppo=PpoConfig(rollout_steps=40, minibatches=2, epochs=1),
@@ -141,9 +127,7 @@ def request(config: ReinforcementConfig, **options: Any) -> ReinforcementSpec:
     return ReinforcementSpec.of(**(told | options))
 
 
-@pytest.mark.parametrize(
-    "config", [TINY, TINY_IMITATING, TINY_RLPD], ids=["ppo", "imitating", "rlpd"]
-)
+@pytest.mark.parametrize("config", [TINY, TINY_IMITATING], ids=["ppo", "imitating"])
 def test_a_killed_run_ends_with_the_weights_of_one_that_was_not(
     config: ReinforcementConfig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -504,53 +488,3 @@ def test_a_budget_that_covers_no_update_is_refused_by_the_first_steps(
     more = dataclasses.replace(told, budget_minutes=20.0)
     done = train_in(more, tmp_path / "run", resume=True).summary
     assert done["samples"] == config.samples and "shortage" not in done
-
-
-def join_as(number: int, port: int) -> None:
-    """Be one of two processes, as torchrun starts them."""
-    own = {
-        "RANK": number,
-        "WORLD_SIZE": 2,
-        "MASTER_ADDR": "127.0.0.1",
-        "MASTER_PORT": port,
-    }
-    os.environ |= {name: str(value) for name, value in own.items()}
-    torch.set_num_threads(1)
-
-
-def free_port() -> int:
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        return free.getsockname()[1]
-
-
-def train_killed_and_whole(number: int, folder: str, port: int) -> None:
-    """One of two processes that train, and train, are killed and resume."""
-    join_as(number, port)
-    told = request(SHORT_EPISODES)
-    timed = dataclasses.replace(told, budget_minutes=10.0)
-    # A run that is over makes no more samples when it is resumed.
-    for resume in (False, True):
-        train_in(timed, Path(folder) / "whole", resume)
-    check = sessions.ReinforcementSession.check_time
-
-    def killed(self: sessions.ReinforcementSession) -> None:
-        if self.state.samples >= 300:
-            raise Killed
-        check(self)
-
-    sessions.ReinforcementSession.check_time = killed  # type: ignore[method-assign]
-    with pytest.raises(Killed):
-        train_in(told, Path(folder) / "killed")
-    sessions.ReinforcementSession.check_time = check  # type: ignore[method-assign]
-    train_in(told, Path(folder) / "killed", resume=True)
-    torch.distributed.destroy_process_group()
-
-
-def test_each_of_two_processes_goes_on_with_its_own_buffer(tmp_path: Path) -> None:
-    spawn(train_killed_and_whole, (str(tmp_path), free_port()), nprocs=2)
-    whole = load_checkpoint(tmp_path / "whole" / "training.safetensors")
-    assert whole.about["samples"] == SHORT_EPISODES.samples, "those of both count"
-    wanted = whole.tensors
-    found = load_checkpoint(tmp_path / "killed" / "training.safetensors").tensors
-    assert all(torch.equal(value, found[name]) for name, value in wanted.items())

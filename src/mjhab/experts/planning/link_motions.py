@@ -26,6 +26,7 @@ from mjhab.core.rotations import wrap
 from mjhab.envs.parts.world_view import JointedLink, WorldView
 from mjhab.experts.arm import ik, motion
 from mjhab.experts.base.ajar import planner
+from mjhab.experts.base.route import LINK_GUESS, drive_steps
 from mjhab.robots.kinematics import Chain
 from mjhab.robots.robot import Robot
 
@@ -343,7 +344,9 @@ def rank(
         .min(axis=1, initial=np.inf)
     )
     first = frame.base(placements.q[:, 0])
-    steps = np.maximum(placements.steps, drive_steps(view.base, first[:, BASE]))
+    steps = np.maximum(
+        placements.steps, drive_steps(view.base, first[:, BASE], guess=LINK_GUESS)
+    )
     cost = (
         steps
         + motion_steps(view.robot.chain, placements.q)
@@ -353,18 +356,3 @@ def rank(
     order = np.argsort(cost, kind="stable")
     order = order[clearance[order] >= MIN_BASE_CLEARANCE_M]
     return frame.base(placements.q[order]), cost[order]
-
-
-def drive_steps(start: np.ndarray, goals: np.ndarray) -> np.ndarray:
-    """Rough number of control steps (N,) to drive from ``start`` (3,) to ``goals`` (N, 3): turn, go, turn."""
-    offset = goals[:, :2] - start[:2]
-    far = np.linalg.norm(offset, axis=1)
-    heading = np.arctan2(offset[:, 1], offset[:, 0])
-    forward = np.abs(wrap(heading - start[2])) + np.abs(wrap(goals[:, 2] - heading))
-    backward = np.abs(wrap(heading + np.pi - start[2])) + np.abs(
-        wrap(goals[:, 2] - heading - np.pi)
-    )
-    turn = np.where(
-        far > 0.02, np.minimum(forward, backward), np.abs(wrap(goals[:, 2] - start[2]))
-    )
-    return 20.0 * (far / 0.55 + turn / 1.6) + 8.0

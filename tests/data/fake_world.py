@@ -99,6 +99,7 @@ class FakeEnv:
             objects=[],
             object_names=["024_bowl_:0000"],
             link_ids=["kitchen_counter/drawer3"],
+            stage="",
         )
         self.action_table = [SimpleNamespace(name=f"a{i}") for i in range(13)]
         self.worlds = [_World(self, 0, w) for w in range(num_envs)]

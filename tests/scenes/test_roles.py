@@ -118,7 +118,7 @@ def test_a_registered_pack_is_opened_by_its_name() -> None:
             open_pack("two_home")
     finally:
         PACK_SOURCES.remove("two_homes")
-    with refused("option", "stage", expected="stage_mesh", where="pack 'odd'"):
+    with refused("option", "stage_meshes", expected="stage_mesh", where="pack 'odd'"):
         register_pack(
-            PackSource("odd", lambda request: pack, options=frozenset({"stage"}))
+            PackSource("odd", lambda request: pack, options=frozenset({"stage_meshes"}))
         )

@@ -21,7 +21,7 @@ from mjhab.episodes.hab.format import HabEpisode, to_json, write_rows
 from mjhab.episodes.hab.writer import to_hab
 from mjhab.episodes.rosters import roster
 from mjhab.layout.layout import Layout
-from mjhab.scenes.packs import open_pack
+from mjhab.scenes.packs import open_pack, stage_of
 from mjhab.sim.mujoco.cpu import CpuSimulator
 
 FORMAT = "mjhab-episodes-1"
@@ -138,6 +138,7 @@ def make_file(
         raise UsageError(f"{out} exists; add --overwrite, or choose another --out.")
     factory = Factory(recipe)
     header = {"format": FORMAT, **asdict(recipe), "pack": factory.maker.digest}
+    header |= stage_of(recipe.assets)
     out.parent.mkdir(parents=True, exist_ok=True)
     partial = partial_path(out)
     rows = _resume(partial, header, overwrite)

@@ -157,6 +157,7 @@ def header_of(
         "layout": layout_digest(layout),
         "grasps": grasps,
         "versions": made_by,
+        **({"stage": layout.stage} if layout.stage else {}),
     }
 
 
@@ -446,6 +447,7 @@ class SpawnSet:
             "tries_mean": round(float(self.columns["tries"].mean()), 3),
             "pack": self.header["pack"],
             "layout": self.header["layout"],
+            **({"stage": self.header["stage"]} if "stage" in self.header else {}),
             "digest": self.digest,
         }
 

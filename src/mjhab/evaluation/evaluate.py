@@ -43,6 +43,7 @@ from mjhab.rollout.policy import Clipped, Composed, Policy, RolloutEnv, Timed
 from mjhab.rollout.records import EpisodeRecord
 from mjhab.rollout.sinks import Sink
 from mjhab.rollout.store import REPORT, EvaluationFolder, StoreSink, read_records
+from mjhab.scenes.packs import stage_of
 from mjhab.tasks.style import Styles
 
 if TYPE_CHECKING:
@@ -350,8 +351,10 @@ def finish(
 ) -> Run:
     """Write summary.json and report.html from the records in the folder; ``requests``: see `requests_of`."""
     records = folder.records
+    stage = stage_of(folder.config.get("assets") or "builtin")
     summary = {
         "profile": folder.config.get("profile"),
+        **stage,
         **summarize(records, seconds, alone),
         **(requests or {}),
     }
@@ -364,7 +367,12 @@ def finish(
     )
     folder.write_report(
         render_report(
-            records, folder.config, seconds, folder.film_path, film_problem, alone
+            records,
+            {**folder.config, **stage},
+            seconds,
+            folder.film_path,
+            film_problem,
+            alone,
         )
     )
     return Run(folder.path, folder.config, tuple(records), summary, film_problem)

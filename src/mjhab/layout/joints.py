@@ -8,8 +8,8 @@ and has the same; how its mass is spread follows from its shapes. The centre of 
 leans by 0.33 deg, and with the centre of mass of their shapes its doors, which nothing holds any more, would fall shut;
 its file puts it on the hinge. Where a home says that a wall stops a door, the door keeps its published range and
 collides with the walls. In MS-HAB doors and the stage are in one collision group and never meet (ManiSkill's ReplicaCAD
-scene builder), so that a door may stand in the wall. Homes of ReplicaCAD name no such doors: there a door passes
-through the walls of a stage, as in MS-HAB.
+scene builder), so that a door may stand in the wall. Homes of ReplicaCAD name such doors only with a stand-in for their
+stage: with the stage itself a door passes through its walls, as in MS-HAB.
 """
 
 from __future__ import annotations

@@ -158,6 +158,11 @@ class Layout:
         """Cache of data computed from the homes, by key."""
 
     @property
+    def stage(self) -> str:
+        """`Pack.stage`: where the walls of the homes come from; "" for homes without stages."""
+        return self.pack.stage
+
+    @property
     def num_objects(self) -> int:
         """Number of object slots N."""
         return len(self.roster)

@@ -104,7 +104,8 @@ def _chips(
     records: Sequence[EpisodeRecord], config: Mapping[str, Any]
 ) -> list[tuple[str, Any]]:
     homes = len({record.home for record in records})
-    told = ((key, config.get(key)) for key in ("split", "assets", "seed", "worlds"))
+    names = ("split", "assets", "stage", "seed", "worlds")
+    told = ((key, config.get(key)) for key in names)
     return [("homes", homes), *(chip for chip in told if chip[1] is not None)]
 
 

@@ -45,6 +45,7 @@ def save_pack(pack: Pack, folder: Path) -> None:
         "homes": [dataclasses.asdict(h) for h in pack.homes],
         "objects": [dataclasses.asdict(o) for o in pack.objects.values()],
         "roles": dataclasses.asdict(present_roles(pack, pack.roles)),
+        "stage": pack.stage,
     }
     text = json.dumps(body)
     folder.mkdir(parents=True, exist_ok=True)
@@ -102,6 +103,7 @@ def load_pack(folder: Path) -> Pack:
             objects,
             _read_meshes(folder / _MESHES, names),
             read_record(Roles, body.get("roles", {}), "roles"),
+            read_record(str, body.get("stage", ""), "stage"),
         )
     except KeyError as error:
         raise fault(path, f"field {error} is missing.") from error

@@ -16,7 +16,7 @@ from mjhab.core.registration.registry import Registry, check_item
 from mjhab.core.typed.checks import check_one_of
 from mjhab.core.typed.flags import Flag
 from mjhab.core.typed.options import fitting
-from mjhab.scenes.spec import Pack
+from mjhab.scenes.spec import NO_STAGE, OWN_STAGE, STAGES, STAND_IN, Pack
 
 
 @dataclass(frozen=True)
@@ -34,9 +34,13 @@ class PackRequest:
     one text may name several, with commas between them."""
     stage_mesh: Annotated[str, Flag(metavar="FILE.glb")] = ""
     """With a ReplicaCAD folder: walls and floor for every home, in place of the stages its scenes
-    name; "" for none."""
+    name; "" for none. With --stage stand-in it is the mesh that stands in."""
     scenes: Annotated[tuple[str, ...], Flag(metavar="NAME|PATTERN ...")] = ()
     """With a ReplicaCAD folder: homes that the pack is to have, or patterns such as 'apt_*'; () for its own choice."""
+    stage: Annotated[str, Flag(metavar="own|stand-in|none")] = OWN_STAGE
+    """With a ReplicaCAD folder, the walls: own (of the stages that the scenes name, none where these are missing),
+    stand-in (where they are missing, those of stages/frl_apartment_stage_simple.glb or --stage-mesh, fitted to the
+    scenes), or none."""
 
     def __post_init__(self) -> None:
         for name, hint in typing.get_type_hints(type(self)).items():
@@ -44,11 +48,18 @@ class PackRequest:
             object.__setattr__(self, name, value)
         names = [name for text in self.articulate for name in text.split(",") if name]
         object.__setattr__(self, "articulate", tuple(sorted(set(names))))
+        check_one_of("stage", self.stage, (OWN_STAGE, STAND_IN, NO_STAGE), where="assets")
+        if self.stage == NO_STAGE and self.stage_mesh:
+            raise UsageError(
+                f"stage 'none' and stage_mesh {self.stage_mesh!r} exclude each other: leave out one of them."
+            )
 
     def __str__(self) -> str:
         """The place, and in brackets the options that differ from their defaults, for messages."""
         parts = [f"articulate: {', '.join(self.articulate)}"] if self.articulate else []
-        parts += [f"stage: {self.stage_mesh}"] if self.stage_mesh else []
+        stage = [self.stage] if self.stage != OWN_STAGE else []
+        stage += [self.stage_mesh] if self.stage_mesh else []
+        parts += [f"stage: {', '.join(stage)}"] if stage else []
         parts += [f"scenes: {', '.join(self.scenes)}"] if self.scenes else []
         return f"{self.place} ({'; '.join(parts)})" if parts else self.place
 
@@ -98,10 +109,19 @@ def pack_request(assets: Assets) -> PackRequest:
 
 
 def _from_text(text: str) -> PackRequest:
-    """Request for a place, with or without the options of older recordings: ``FOLDER?articulate=a,b?stage=FILE``."""
+    """Request for a place, with or without options: ``FOLDER?stage=stand-in``.
+
+    Older recordings have ``FOLDER?articulate=a,b?stage=FILE``.
+    """
     place, _, stage = text.partition("?stage=")
     place, _, furniture = place.partition("?articulate=")
-    return PackRequest(place, tuple(filter(None, furniture.split(","))), stage)
+    named = stage in STAGES
+    return PackRequest(
+        place,
+        tuple(filter(None, furniture.split(","))),
+        stage_mesh="" if named else stage,
+        stage=stage if named else OWN_STAGE,
+    )
 
 
 @dataclass(frozen=True)

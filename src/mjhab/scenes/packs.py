@@ -56,6 +56,15 @@ def open_pack(assets: Assets = "builtin") -> Pack:
     raise _nothing_there(request.place)
 
 
+def stage_of(assets: Assets) -> dict[str, str]:
+    """Entry for the record of a run: {"stage": `Pack.stage`}; empty for packs whose homes are no scenes with stages."""
+    request = pack_request(assets)
+    source = source_of(request)
+    if source is None or "stage" not in source.options:
+        return {}
+    return {"stage": open_pack(request).stage}
+
+
 def _checked(pack: Pack, request: PackRequest) -> Pack:
     """Return a pack that has homes, each under a name of its own.
 

@@ -32,6 +32,14 @@ PUBLISHED_DAMPING = 0.01
 PUBLISHED_FRICTION = 0.01
 """Dry friction of every joint of ReplicaCAD [N or N m]: ``<dynamics ... friction="0.01"/>`` in all its URDFs."""
 
+OWN_STAGE = "own"
+STAND_IN = "stand-in"
+NO_STAGE = "none"
+OTHER_STAGE = "file"
+STAGES = (OWN_STAGE, STAND_IN, NO_STAGE, OTHER_STAGE)
+"""Walls of a scene: of the stage that it names; of a mesh that stands in where that is missing, fitted to the scenes
+(`replica_cad.stand_in`); none; of a file that the user gave, as it is."""
+
 Shape = Literal["box", "cylinder", "sphere", "capsule", "mesh"]
 
 
@@ -299,6 +307,9 @@ class Pack:
     """The meshes (``scenes.shapes.meshes.Mesh``) of the geoms, by name."""
     roles: Roles = Roles()
     """Roles of the furniture, in every home that has none of its own."""
+    stage: str = ""
+    """Where the walls of ReplicaCAD's homes come from, one of `STAGES`; "" for other homes. "stand-in" or
+    "none" if any of the homes lacks its own."""
 
     @cached_property
     def derived(self) -> MemoryCache:

@@ -181,8 +181,8 @@ def test_options_of_a_pack_travel_as_a_dataclass_and_through_files(folder: Path)
         UsageError, match="takes no option 'articulate'; kinds that do: replica_cad"
     ):
         open_pack(PackRequest("builtin", ("cabinet",)))
-    with refused("field of assets", "stage", expected="stage_mesh"):
-        open_pack({"place": str(folder), "stage": str(stage)})
+    with refused("field of assets", "stage_meshes", expected="stage_mesh"):
+        open_pack({"place": str(folder), "stage_meshes": str(stage)})
 
 
 def test_scenes_may_be_an_option(folder: Path) -> None:

@@ -32,6 +32,7 @@ from mjhab.data.record.provenance import source_commit, versions
 from mjhab.data.store.places import episodes as recorded_episodes
 from mjhab.data.store.storage import StorageError
 from mjhab.evaluation.generate import GenerateSpec, run_generation
+from mjhab.scenes.packs import stage_of
 
 RESULTS = "results.json"
 TABLE = "table.csv"
@@ -166,6 +167,10 @@ def write_results(
         **_config(spec),
         "assets": {row.pack: _short(row.assets) for row in measured},
     }
+    packs = {row.pack: row.assets for row in measured}
+    stages = {pack: stage_of(assets) for pack, assets in packs.items()}
+    if any(stages.values()):
+        config["stage"] = {p: found["stage"] for p, found in stages.items() if found}
     document = {
         "what": "success of mjhab's scripted experts",
         "config": config,

@@ -35,13 +35,14 @@ class HomesShowSpec(EnvSpec):
 
 def list_homes(spec: HomesListSpec, json: bool) -> int:
     """Print name, pack, split, macro and micro number of every home."""
-    from mjhab.scenes.packs import open_pack
+    from mjhab.scenes.packs import open_pack, stage_of
 
     homes = [_row(home) for home in open_pack(spec.asked.assets).homes]
     columns = ("name", "pack", "split", "macro", "micro")
     rows = [[home[key] for key in columns] for home in homes]
     table = Listing(f"{len(homes)} homes", columns, rows)
-    report(json, {"homes": homes}, table, _variety(homes))
+    stage = stage_of(spec.asked.assets)
+    report(json, {"homes": homes, **stage}, table, _variety(homes))
     return 0
 
 
@@ -61,6 +62,8 @@ def _variety(homes: list[dict[str, Any]]) -> str:
 
 def show_home(spec: HomesShowSpec, json: bool) -> int:
     """Print size, walls and furniture of one home."""
+    from mjhab.scenes.packs import stage_of
+
     home = find_home(spec.asked.assets, spec.name)
     x_min, y_min, x_max, y_max = home.floor
     shown = {
@@ -72,6 +75,7 @@ def show_home(spec: HomesShowSpec, json: bool) -> int:
         "articulations": sorted(place.template for place in home.articulations),
         "note": home.note,
         "open_limits": dict(home.open_limits),
+        **stage_of(spec.asked.assets),
     }
     apart = ("props", "articulations", "note", "open_limits")
     facts = [(key, value) for key, value in shown.items() if key not in apart]

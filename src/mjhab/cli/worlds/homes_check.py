@@ -34,7 +34,7 @@ def check_homes(spec: HomesCheckSpec, json: bool) -> int:
     """Print the findings; returns 1 if a home cannot be used."""
     from mjhab.layout import check
     from mjhab.layout.layout import Layout
-    from mjhab.scenes.packs import open_pack
+    from mjhab.scenes.packs import open_pack, stage_of
 
     pack = open_pack(spec.asked.assets)
     homes = homes_of_split(pack, spec.env.get("split"))
@@ -42,7 +42,7 @@ def check_homes(spec: HomesCheckSpec, json: bool) -> int:
         layout = Layout(pack, roster_of(pack))
         found = check.check_homes(layout, homes, lambda home: advance())
     found.remarks += unasked_roles(pack, homes)
-    told = as_json(found)
+    told = {**as_json(found), **stage_of(spec.asked.assets)}
     tables = _tables(found)
     if spec.tasks:
         told["tasks"] = room = find_room(pack, homes)

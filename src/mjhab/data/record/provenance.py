@@ -107,6 +107,7 @@ def describe_run(
                 kind.name: kind.scan_yaw for kind in layout.objects if kind.scan_yaw
             },
             **describe_views(env.observer),
+            **({"stage": layout.stage} if layout.stage else {}),
         },
         assets=_text(env.config.assets),
         licence=licence

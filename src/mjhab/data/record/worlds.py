@@ -105,6 +105,11 @@ class Names(Protocol):
         """Names of the drawers and doors."""
         ...
 
+    @property
+    def stage(self) -> str:
+        """Where the walls of the homes come from (`scenes.spec.STAGES`); "" for homes without stages."""
+        ...
+
 
 class RecordedEnv(RolloutEnv, Protocol):
     """A CPU environment whose episodes can be recorded, replayed and rendered, such as those of `mjhab.make`."""

@@ -83,6 +83,7 @@ _ENTRIES: dict[str, tuple[Callable[[Any], bool], str]] = {
     "layout/taints": _TEXTS,
     "layout/segments": _TEXTS,
     "layout/robot": _TEXT,
+    "layout/stage": _TEXT,
     "layout/cameras": _OBJECT,
     "layout/sizes": (_is_sizes, "an object of whole numbers"),
     "layout/columns": (_is_columns, "an object of lists of whole numbers"),

@@ -13,6 +13,7 @@ import numpy as np
 
 from mjhab.core.errors import UsageError, about, fault, shown, wrong_value
 from mjhab.core.files.reading import beside, read_json_object
+from mjhab.core.names import check_name
 from mjhab.core.rotations import mat_from_quat, quat_from_mat
 from mjhab.core.typed.checks import check
 from mjhab.scenes.formats.gltf import TO_Z_UP
@@ -162,3 +163,18 @@ def place(template: str, pos: np.ndarray, rotation: np.ndarray) -> Placement:
         or rotation[2, 2] < 0
     )
     return Placement(template, point(pos), yaw, quat_of(rotation) if tilted else None)
+
+
+def text(path: Path, record: Any, key: str, where: str) -> str:
+    """Text of a field, or a UsageError that names the field."""
+    value = field(path, record, key, where)
+    if not isinstance(value, str):
+        raise wrong_value(f"{where}.{key}", value, "a name", where=path)
+    return value
+
+
+def template(path: Path, record: Any, where: str) -> str:
+    """Name of a template, with its folder if the record has one."""
+    given = text(path, record, "template_name", where)
+    with about(path):
+        return check_name(f"field {where}.template_name", given)

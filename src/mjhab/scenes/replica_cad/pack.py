@@ -8,6 +8,7 @@ from pathlib import Path
 from mjhab.core.errors import UsageError
 from mjhab.scenes.pack_source import PackRequest, PackSource
 from mjhab.scenes.replica_cad.files import SCENE_SUFFIX, is_replica_cad
+from mjhab.scenes.replica_cad.stage_choice import StageRequest
 from mjhab.scenes.spec import Pack
 
 _SUBFOLDER = "replica_cad"
@@ -44,7 +45,9 @@ def _open(request: PackRequest) -> Pack:
     if found is None:
         raise UsageError(f"{request.place!r} is no ReplicaCAD data set.")
     folder, scenes = found
-    stage = Path(request.stage_mesh) if request.stage_mesh else None
+    stage = StageRequest(
+        request.stage, Path(request.stage_mesh) if request.stage_mesh else None
+    )
     return _read(folder.resolve(), (*scenes, *request.scenes), stage, request.articulate)
 
 
@@ -52,17 +55,17 @@ def _open(request: PackRequest) -> Pack:
 def _read(
     folder: Path,
     scenes: tuple[str, ...],
-    stage_mesh: Path | None,
+    stage: StageRequest,
     articulate: tuple[str, ...],
 ) -> Pack:
     from mjhab.scenes.replica_cad.reader import open_replica_cad
 
-    return open_replica_cad(folder, scenes, stage_mesh, articulate)
+    return open_replica_cad(folder, scenes, stage, articulate)
 
 
 SOURCE = PackSource(
     "replica_cad",
     _open,
     lambda place: locate(place) is not None,
-    frozenset({"articulate", "stage_mesh", "scenes"}),
+    frozenset({"articulate", "stage", "stage_mesh", "scenes"}),
 )

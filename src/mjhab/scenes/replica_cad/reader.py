@@ -20,13 +20,10 @@ import numpy as np
 
 from mjhab.core.errors import (
     UsageError,
-    about,
     fault,
     unknown_name,
     warn_once,
-    wrong_value,
 )
-from mjhab.core.names import check_name
 from mjhab.core.rotations import mat_from_quat
 from mjhab.scenes import roles
 from mjhab.scenes.builtin.objects import builtin_objects, object_meshes
@@ -36,21 +33,20 @@ from mjhab.scenes.replica_cad.files import (
     HOW_TO_GET,
     SCENE_SUFFIX,
     check_folder,
-    file_in,
     load_json,
     number,
-    numbers,
     placement,
-    rotation,
     short_name,
+    template,
 )
-from mjhab.scenes.replica_cad.files import field as entry
 from mjhab.scenes.replica_cad.furniture import OPTIONAL, Furniture
 from mjhab.scenes.replica_cad.navmesh import read_navmesh
-from mjhab.scenes.replica_cad.stage import Extent, stage_shape
+from mjhab.scenes.replica_cad.stage import Extent
+from mjhab.scenes.replica_cad.stage_choice import StageRequest, Stages
 from mjhab.scenes.roles import present_roles
 from mjhab.scenes.shapes.footprints import outline
-from mjhab.scenes.spec import Geom, Home, Light, ObjectType, Pack, Placement
+from mjhab.scenes.shapes.openings import wall_limits
+from mjhab.scenes.spec import STAND_IN, Home, Light, ObjectType, Pack, Placement
 
 STAGED = re.compile(r"v3_sc(\d+)_staging_(\d+)")
 FLOOR_MATERIAL = "floor_oak"
@@ -74,7 +70,7 @@ _LAMP_POSITIONS_M = (
 def open_replica_cad(
     folder: Path,
     scenes: tuple[str, ...] = (),
-    stage_mesh: Path | None = None,
+    stage: StageRequest | None = None,
     articulate: tuple[str, ...] = (),
 ) -> Pack:
     """Read the data set as a pack.
@@ -83,14 +79,12 @@ def open_replica_cad(
         folder: folder of the data set; the objects are read from a folder ``ycb`` in it or beside it, else the built-in
             ones are used.
         scenes: names of scenes, or patterns such as ``apt_*``; () for all staged ones.
-        stage_mesh: a ``.glb`` that replaces the stage of every scene.
+        stage: which walls the homes get; None for those of the stages that the scenes name, where these exist.
         articulate: furniture that opens besides kitchen counter and fridge, keys of `furniture.OPTIONAL`.
 
     Raises:
         UsageError: the data set is incomplete, a file is broken or missing, or a name is unknown; the message names it.
     """
-    if stage_mesh is not None and not stage_mesh.is_file():
-        raise UsageError(f"stage mesh {str(stage_mesh)!r} does not exist.")
     for name in articulate:
         if name not in OPTIONAL:
             raise unknown_name("furniture to articulate", name, OPTIONAL)
@@ -108,7 +102,9 @@ def open_replica_cad(
         raise UsageError(
             f"{folder / 'configs' / 'scenes'} has no staged scene (v3_sc*_staging_*); {HOW_TO_GET}."
         )
-    reader = _Scenes(folder, Furniture(folder, articulate), stage_mesh)
+    staged = tuple(name for name in names if STAGED.fullmatch(name))
+    stages = Stages(folder, stage or StageRequest())
+    reader = _Scenes(folder, Furniture(folder, articulate), stages, staged)
     homes = tuple(reader.home(name) for name in chosen)
     furniture = reader.furniture
     if reader.loose:
@@ -120,11 +116,7 @@ def open_replica_cad(
         warn_once(
             f"{folder}: objects that may move in {told} (motion_type DYNAMIC) stand fixed here, as furniture."
         )
-    _warn(
-        folder,
-        reader.missing,
-        "homes have a floor but no walls (--stage-mesh FILE gives another stage)",
-    )
+    _warn(folder, stages.missing, stages.consequence())
     _warn(folder, furniture.missing, "their collision shapes are drawn instead")
     objects, meshes = _objects(folder)
     pack = Pack(
@@ -134,8 +126,20 @@ def open_replica_cad(
         homes,
         objects,
         {**furniture.meshes, **furniture.looks.meshes(), **meshes},
+        stage=stages.kind,
     )
-    return check_pack(replace(pack, roles=present_roles(pack, ROLES)), folder)
+    if stages.kind == STAND_IN:
+        homes = _limited(homes, pack)
+    pack = replace(pack, homes=homes, roles=present_roles(pack, ROLES))
+    return check_pack(pack, folder)
+
+
+def _limited(homes: tuple[Home, ...], pack: Pack) -> tuple[Home, ...]:
+    """Homes with the limits of doors that open toward a wall, which would else pass through it, and start in it."""
+    # Homes of one macro layout have the same.
+    alike = {(h.walls, h.articulations): h for h in homes}
+    found = {key: wall_limits(home, pack) for key, home in alike.items()}
+    return tuple(replace(h, open_limits=found[h.walls, h.articulations]) for h in homes)
 
 
 def _warn(folder: Path, missing: list[Path], meaning: str) -> None:
@@ -178,18 +182,14 @@ MAX_INSTANCES = 1000
 
 @dataclass(eq=False)
 class _Scenes:
-    """Read scene files as homes; every stage is read once."""
+    """Read scene files as homes. ``staged``: names of all staged scenes of the data set."""
 
     folder: Path
     furniture: Furniture
-    stage_mesh: Path | None
-    missing: list[Path] = field(default_factory=list)
-    """Stage meshes that do not exist."""
+    stages: Stages
+    staged: tuple[str, ...]
     loose: list[str] = field(default_factory=list)
     """Scenes with dynamic objects."""
-    _stages: dict[tuple[Any, ...], tuple[tuple[Geom, ...], Extent] | None] = field(
-        default_factory=dict
-    )
 
     def home(self, name: str) -> Home:
         path = self.folder / "configs" / "scenes" / (name + SCENE_SUFFIX)
@@ -205,8 +205,8 @@ class _Scenes:
                 )
         for k, record in enumerate(_list(path, body, "object_instances")):
             where = f"object_instances[{k}]"
-            template = self.furniture.rigid(_template(path, record, where))
-            props.append(placement(path, record, template, where))
+            piece = self.furniture.rigid(template(path, record, where))
+            props.append(placement(path, record, piece, where))
         if any(
             record.get("motion_type") == "DYNAMIC"
             for record in _list(path, body, "object_instances")
@@ -214,7 +214,7 @@ class _Scenes:
             self.loose.append(name)
         for k, record in enumerate(_list(path, body, "articulated_object_instances")):
             where = f"articulated_object_instances[{k}]"
-            given = _template(path, record, where)
+            given = template(path, record, where)
             # Doors between rooms are left out, as in ManiSkill's scene builder: shut, they would block half the home.
             if "door" in short_name(given):
                 continue
@@ -227,8 +227,9 @@ class _Scenes:
                     path,
                     f"more than one {place.template!r}; a home may have one of each that opens.",
                 )
-        walls, extent = self._stage(path, body) or ((), None)
         found = STAGED.fullmatch(name)
+        group = self.staged if found else (name,)
+        walls, extent = self.stages.shape(path, body, group) or ((), None)
         macro, micro = (int(found[1]), int(found[2])) if found else (0, 0)
         split: Literal["train", "val", "test"] = (
             "train" if macro < 3 else "val" if macro == 3 else "test"
@@ -247,35 +248,6 @@ class _Scenes:
             tuple(jointed),
             tuple(Light(pos) for pos in _LAMP_POSITIONS_M),
         )
-
-    def _stage(
-        self, path: Path, body: dict[str, Any]
-    ) -> tuple[tuple[Geom, ...], Extent] | None:
-        """Walls and floor extent of a scene's stage; None, noted in ``missing``, if its mesh does not exist."""
-        record = entry(path, body, "stage_instance")
-        given = _template(path, record, "stage_instance")
-        if self.stage_mesh is not None:
-            file = self.stage_mesh
-        else:
-            config = (
-                self.folder
-                / "configs"
-                / "stages"
-                / f"{given.rsplit('/', 1)[-1]}.stage_config.json"
-            )
-            file = file_in(config, load_json(config), "render_asset")
-        shift = np.zeros(3)
-        if "translation" in record:
-            shift = numbers(path, record, "translation", 3, "stage_instance")
-        turn = rotation(path, record, "stage_instance")
-        key = (file, *shift.tolist(), *turn.ravel().tolist())
-        if key not in self._stages:
-            if self.stage_mesh is None and not file.is_file():
-                self.missing.append(file)
-                self._stages[key] = None
-            else:
-                self._stages[key] = stage_shape(file, turn, shift)
-        return self._stages[key]
 
     def _extent(self, name: str, placed: list[Placement]) -> Extent:
         """Floor extent of a home without stage: that of its navigation mesh, else of its furniture with a margin."""
@@ -315,18 +287,3 @@ def _list(path: Path, body: dict[str, Any], key: str) -> list[Any]:
     if not isinstance(value, list):
         raise fault(path, f"field {key!r}: expected a list.")
     return value
-
-
-def _text(path: Path, record: Any, key: str, where: str) -> str:
-    """Text of a field, or a UsageError that names the field."""
-    value = entry(path, record, key, where)
-    if not isinstance(value, str):
-        raise wrong_value(f"{where}.{key}", value, "a name", where=path)
-    return value
-
-
-def _template(path: Path, record: Any, where: str) -> str:
-    """Name of a template, with its folder if the record has one."""
-    given = _text(path, record, "template_name", where)
-    with about(path):
-        return check_name(f"field {where}.template_name", given)

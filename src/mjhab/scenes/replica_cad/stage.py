@@ -59,11 +59,21 @@ def stage_shape(
     """
     turn = TO_Z_UP if rotation is None else TO_Z_UP @ rotation
     move = np.zeros(3) if shift is None else TO_Z_UP @ shift
-    triangles = (
-        np.concatenate([p.vertices[p.faces] for p in read_glb(path, textures=False)])
-        @ turn.T
-        + move
-    )
+    return shape_of(stage_triangles(path) @ turn.T + move)
+
+
+def stage_triangles(path: Path) -> np.ndarray:
+    """Read the triangles (T, 3, 3) [m] of a mesh, in the axes of the data set.
+
+    Raises:
+        UsageError: the file is missing or broken.
+    """
+    parts = read_glb(path, textures=False)
+    return np.concatenate([part.vertices[part.faces] for part in parts])
+
+
+def shape_of(triangles: np.ndarray) -> tuple[tuple[Geom, ...], Extent]:
+    """Compute walls and floor extent as `stage_shape` does, from triangles (T, 3, 3) [m] in our world axes."""
     low = triangles.reshape(-1, 3).min(0)
     high = triangles.reshape(-1, 3).max(0)
     faces = wall_faces(triangles)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 import numpy as np
 from scipy.spatial import ConvexHull
@@ -15,6 +15,8 @@ _SWEEP_POSES = 24
 """Number of sampled joint positions; a door of 0.7 m moves 7 cm between them, less than the thickness of walls."""
 _BISECTIONS = 12
 """Bisection steps between the last free and the first colliding sample."""
+_LIMIT_MARGIN_RAD = 0.005
+"""Least distance of a limit from the wall [rad]."""
 _SKIN_M = 1e-3
 """Vertical overlap that does not count as a collision [m], because pieces may stand flush."""
 
@@ -33,6 +35,19 @@ def free_travel(home: Home, pack: Pack) -> dict[str, float]:
         for link in pack.articulations[placement.template].links:
             result[f"{placement.template}/{link.name}"] = _travel(link, placement, around)
     return result
+
+
+def wall_limits(home: Home, pack: Pack) -> tuple[tuple[str, float], ...]:
+    """Compute `Home.open_limits`: the hinged links that a wall stops, and where they do not touch it yet [rad]."""
+    found = []
+    walls = _walls(home)
+    for placement in home.articulations:
+        for link in pack.articulations[placement.template].links:
+            free = _travel(link, placement, walls) if link.joint == "hinge" else np.inf
+            if link.range[0] < free < link.range[1]:
+                limit = np.floor((free - _LIMIT_MARGIN_RAD) * 100) / 100
+                found.append((f"{placement.template}/{link.name}", float(limit)))
+    return tuple(found)
 
 
 def stuck_links(home: Home, pack: Pack) -> list[str]:
@@ -123,8 +138,7 @@ def _turn(angle: float) -> np.ndarray:
 
 def _solids(home: Home, pack: Pack, opening: Placement) -> list[FloorPolygon]:
     """Footprints of walls, and of other furniture within 3 m of the piece that opens."""
-    here = Placement("", (0.0, 0.0, 0.0))
-    solid = [_solid(g, here, pack, "wall") for g in home.walls if g.collide]
+    solid = _walls(home)
     near = 3.0
     for placement in (*home.props, *home.articulations):
         if (
@@ -136,17 +150,24 @@ def _solids(home: Home, pack: Pack, opening: Placement) -> list[FloorPolygon]:
             pack.props.get(placement.template) or pack.articulations[placement.template]
         )
         solid += [
-            _solid(g, placement, pack, placement.template)
+            _solid(g, placement, pack.meshes, placement.template)
             for g in template.geoms
             if g.collide
         ]
     return solid
 
 
-def _solid(geom: Geom, at: Placement, pack: Pack, name: str) -> FloorPolygon:
-    points = outline(geom, pack.meshes) @ mat_from_quat(
-        np.array(at.rotation)
-    ).T + np.array(at.pos)
+def _walls(home: Home) -> list[FloorPolygon]:
+    here = Placement("", (0.0, 0.0, 0.0))
+    return [_solid(g, here, {}, "wall") for g in home.walls if g.collide]
+
+
+def _solid(
+    geom: Geom, at: Placement, meshes: Mapping[str, object], name: str
+) -> FloorPolygon:
+    points = outline(geom, meshes) @ mat_from_quat(np.array(at.rotation)).T + np.array(
+        at.pos
+    )
     flat = np.unique(points[:, :2].round(9), axis=0)
     return FloorPolygon(
         name,

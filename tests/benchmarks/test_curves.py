@@ -48,10 +48,7 @@ def test_a_run_that_is_done_is_not_run_again(
     words = [
         "--out",
         str(tmp_path / "out"),
-        "--samples",
-        "300",
-        "--seeds",
-        "2",
+        *"--samples 300 --seeds 2".split(),
     ]
     trainer = Trainer(broken=1)
     monkeypatch.setattr(curves, "train_reinforcement", trainer)

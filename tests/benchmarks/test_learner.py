@@ -10,17 +10,7 @@ from benchmarks import learner
 from benchmarks.learner import main
 from mjhab.learning.reinforcement.configs import ReinforcementConfig, changed
 
-COMMAND = [
-    "--rounds",
-    "1",
-    "--updates",
-    "1",
-    "--batches",
-    "4",
-    "--threads",
-    "1",
-    "--json",
-]
+COMMAND = "--rounds 1 --updates 1 --batches 4 --threads 1 --json".split()
 
 
 def test_it_measures_with_the_worlds_of_the_preset(

@@ -21,15 +21,7 @@ def test_bench_reward_writes_curves(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     args = (
-        "--episodes",
-        "2",
-        "--worlds",
-        "2",
-        "--subtasks",
-        "open",
-        "--threads",
-        "1",
-        "--out",
+        *"--episodes 2 --worlds 2 --subtasks open --threads 1 --out".split(),
         str(tmp_path),
     )
     code, found = run(capsys, *args)

@@ -23,14 +23,7 @@ def test_bench_soak_counts_steps_and_episodes(
         capsys,
         "--out",
         str(tmp_path),
-        "--steps",
-        "2050",
-        "--worlds",
-        "2",
-        "--threads",
-        "1",
-        "--task",
-        "tidy_house",
+        *"--steps 2050 --worlds 2 --threads 1 --task tidy_house".split(),
     )
     assert found["steps"] == 2052 and len(found["rss_mb"]) == 4
     assert code == (0 if found["ok"] else 1)

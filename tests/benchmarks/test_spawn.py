@@ -10,19 +10,7 @@ from benchmarks.spawn import main
 
 
 def test_starts_are_counted(capsys: pytest.CaptureFixture[str]) -> None:
-    words = [
-        "--task",
-        "set_table",
-        "--subtask",
-        "pick",
-        "--count",
-        "20",
-        "--pool",
-        "2",
-        "--fresh",
-        "1",
-        "--json",
-    ]
+    words = "--task set_table --subtask pick --count 20 --pool 2 --fresh 1 --json".split()
     assert main(words) == 0
     found = json.loads(capsys.readouterr().out.splitlines()[-1])
     assert {"spawns_per_s", "tries_mean", "fallbacks", "episode_s"} <= set(found)

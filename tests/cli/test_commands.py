@@ -125,10 +125,7 @@ def test_homes_render_writes_the_picture(
     size = ("--width", "64", "--height", "48")
     said = machine(
         capsys,
-        "homes",
-        "render",
-        "builtin_m0_00",
-        "--out",
+        *"homes render builtin_m0_00 --out".split(),
         str(out),
         "--view",
         "inside",

@@ -19,11 +19,7 @@ def evaluate(out: Path, worlds: int, threads: int) -> dict[int, dict]:
         "kitchen_counter/drawer3",
     ]
     args += [
-        "--episodes",
-        "3",
-        "--films",
-        "0",
-        "--worlds",
+        *"--episodes 3 --films 0 --worlds".split(),
         str(worlds),
         "--threads",
         str(threads),

@@ -36,27 +36,9 @@ def test_every_command_is_there(command: commands.Command) -> None:
 
 
 def test_options_reach_their_fields(tmp_path: Path) -> None:
-    words = [
-        "eval",
-        "--subtask",
-        "pick",
-        "--worlds",
-        "3",
-        "--obs",
-        "depth",
-        "--films",
-        "0",
-    ]
+    words = "eval --subtask pick --worlds 3 --obs depth --films 0".split()
     pack = ["--articulate", "cabinet,chest_of_drawers", "--stage-mesh", "walls.glb"]
-    served = [
-        "--policy",
-        "ws://host:1",
-        "--execute",
-        "4",
-        "--batch",
-        "--dialect",
-        "behavior",
-    ]
+    served = "--policy ws://host:1 --execute 4 --batch --dialect behavior".split()
     spec = parse([*words, *pack, *served, "--out", str(tmp_path)]).spec
     assert spec.env == {
         "subtask": "pick",
@@ -95,12 +77,7 @@ def test_config_tells_what_a_command_line_means(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     words = [
-        "eval",
-        "--subtask",
-        "pick",
-        "--profile",
-        "ms_hab",
-        "--out",
+        *"eval --subtask pick --profile ms_hab --out".split(),
         str(tmp_path / "run"),
     ]
     assert main(["config", *words]) == 0

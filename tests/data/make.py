@@ -41,6 +41,13 @@ def record(
     return records, recorder
 
 
+def record_pictures(
+    path: Path, episodes: Iterable[int] = range(4), subtask: str = "pick"
+) -> None:
+    """Record episodes with images of a fake env: of a subtask, or of the whole task for ""."""
+    record(path, episodes, FakeEnv(subtask=subtask, images=True), images=ImageFormat())
+
+
 def one_episode(folder: Path) -> EpisodeData:
     """An episode for tests to number anew (`numbered`) and append."""
     path = folder / "a.h5"
@@ -73,11 +80,6 @@ def make_older(path: Path) -> None:
 
 def chains_and_picks(folder: Path) -> Path:
     """Three chains and two Picks in a folder, with images."""
-    record(folder / "chains.h5", range(3), FakeEnv(images=True), images=ImageFormat())
-    record(
-        folder / "picks.h5",
-        range(2),
-        FakeEnv(subtask="pick", images=True),
-        images=ImageFormat(),
-    )
+    record_pictures(folder / "chains.h5", range(3), "")
+    record_pictures(folder / "picks.h5", range(2))
     return folder

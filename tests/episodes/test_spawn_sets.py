@@ -317,14 +317,7 @@ def test_commands(capsys: pytest.CaptureFixture[str], made: SpawnSet, tmp_path: 
         "make",
         "--out",
         str(out),
-        "--subtask",
-        "close",
-        "--count",
-        "3",
-        "--pool",
-        "1",
-        "--threads",
-        "1",
+        *"--subtask close --count 3 --pool 1 --threads 1".split(),
     )
     assert (told["count"], told["subtask"], told["fallbacks"]) == (3, "close", 0)
     (out.parent / "half.npz").write_bytes(made.path.read_bytes()[:100])

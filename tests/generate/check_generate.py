@@ -23,18 +23,7 @@ from typing import Any
 from mjhab.data.store.episode_files import EPISODE_FOLDER, EpisodeFiles
 
 MJHAB = [sys.executable, "-m", "mjhab.cli.main"]
-MAKE = [
-    "generate",
-    "--task",
-    "set_table",
-    "--subtask",
-    "pick",
-    "--workers",
-    "2",
-    "--seed",
-    "0",
-    "--json",
-]
+MAKE = "generate --task set_table --subtask pick --workers 2 --seed 0 --json".split()
 EARLY = (0.1, 0.4)
 LATE = (0.5, 0.9)
 """Shares of the episodes that are written when the two kills come."""

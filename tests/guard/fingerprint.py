@@ -129,16 +129,7 @@ def episode_sets(small: bool, data: str) -> Iterator[tuple[str, list[str]]]:
     if small:
         yield (
             "set_table-pick",
-            [
-                "--task",
-                "set_table",
-                "--subtask",
-                "pick",
-                "--episodes",
-                "1",
-                "--worlds",
-                "1",
-            ],
+            "--task set_table --subtask pick --episodes 1 --worlds 1".split(),
         )
         return
     for task in CHAINS:

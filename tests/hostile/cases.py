@@ -134,16 +134,7 @@ def packed(path: Path) -> Any:
 
 
 def generate(folder: Path) -> int:
-    words = [
-        "generate",
-        "--subtask",
-        "close",
-        "--policy",
-        "zero",
-        "--episodes",
-        "1",
-        "--resume",
-    ]
+    words = "generate --subtask close --policy zero --episodes 1 --resume".split()
     return main([*words, "--out", str(folder)])
 
 
@@ -609,34 +600,13 @@ PLACES = {
 }
 WRITERS: dict[str, tuple[str, ...]] = {
     "eval": ("eval", "--subtask", "close", "--policy", "zero", "--out"),
-    "eval --resume": (
-        "eval",
-        "--subtask",
-        "close",
-        "--policy",
-        "zero",
-        "--resume",
-        "--out",
-    ),
+    "eval --resume": tuple("eval --subtask close --policy zero --resume --out".split()),
     "eval --overwrite": (
-        "eval",
-        "--subtask",
-        "close",
-        "--policy",
-        "zero",
-        "--overwrite",
-        "--out",
+        *"eval --subtask close --policy zero --overwrite --out".split(),
     ),
     "generate": ("generate", "--subtask", "close", "--episodes", "1", "--out"),
-    "homes render": (
-        "homes",
-        "render",
-        "builtin_m0_00",
-        "--width",
-        "8",
-        "--height",
-        "8",
-        "--out",
+    "homes render": tuple(
+        "homes render builtin_m0_00 --width 8 --height 8 --out".split()
     ),
     "episodes make": ("episodes", "make", "--count", "1", "--out"),
     "spawns make": ("spawns", "make", "--subtask", "pick", "--count", "1", "--out"),

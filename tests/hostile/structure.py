@@ -36,7 +36,7 @@ from mjhab.data.store.places import episodes
 from mjhab.evaluation import evaluate
 from tests.data.export.exporting import to_maniskill
 from tests.data.fake_world import FakeEnv
-from tests.data.make import record
+from tests.data.make import record, record_pictures
 from tests.data.record.worker_pools import KEEP, InlinePool, job
 from tests.hostile.mutations import changed_json
 from tests.rollout.fake_env import FakeEnv as RolloutEnv
@@ -245,12 +245,7 @@ def replay_shard(folder: Path) -> bool:
 
 
 def make_export(folder: Path) -> None:
-    record(
-        folder / "a.h5",
-        range(2),
-        FakeEnv(subtask="pick", images=True),
-        images=ImageFormat(),
-    )
+    record_pictures(folder / "a.h5", range(2))
     to_maniskill(folder / "a.h5", folder / "set")
     for file in (folder / "set").rglob("*.*"):
         if file.suffix in (".h5", ".json"):

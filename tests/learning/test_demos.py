@@ -15,7 +15,6 @@ from hypothesis import strategies as st
 from mjhab.core.errors import UsageError
 from mjhab.data.select.query import Filter
 from mjhab.data.select.until import Until
-from mjhab.data.store.images import ImageFormat
 from mjhab.data.store.places import episodes
 from mjhab.learning.batches import BatchSampler, shift_images, take_chunks
 from mjhab.learning.configs import InputConfig
@@ -25,8 +24,8 @@ from mjhab.learning.demos import (
 )
 from mjhab.learning.observation.depth import nearness
 from mjhab.learning.observation.parts import base_velocity
-from tests.data.fake_world import SIZE, FakeEnv
-from tests.data.make import record
+from tests.data.fake_world import SIZE
+from tests.data.make import record_pictures
 from tests.learning.small import INPUTS, condition_of, demonstrations
 
 
@@ -142,12 +141,7 @@ def test_base_velocity_is_along_the_base() -> None:
 @pytest.fixture(scope="module")
 def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("demos")
-    record(
-        folder / "picks.h5",
-        range(4),
-        FakeEnv(subtask="pick", images=True),
-        images=ImageFormat(),
-    )
+    record_pictures(folder / "picks.h5", range(4))
     return folder
 
 
@@ -182,12 +176,7 @@ def test_what_is_read_is_what_was_recorded(source: Path) -> None:
 
 def test_several_processes_read_the_same(source: Path, tmp_path: Path) -> None:
     shutil.copy(source / "picks.h5", tmp_path / "some.h5")
-    record(
-        tmp_path / "more.h5",
-        range(4, 6),
-        FakeEnv(subtask="pick", images=True),
-        images=ImageFormat(),
-    )
+    record_pictures(tmp_path / "more.h5", range(4, 6))
     told = observation_spec_of_data(tmp_path, INPUTS, EVERY)
     one, two = (
         load_demonstrations(tmp_path, told, -1, EVERY, workers) for workers in (1, 2)
@@ -212,12 +201,7 @@ def test_data_that_do_not_fit_are_refused_with_what_to_do(
     with pytest.raises(UsageError, match="no episode passes"):
         observation_spec_of_data(source, INPUTS, Filter("steps > 1000"))
     told = observation_spec_of_data(source, INPUTS, EVERY)
-    record(
-        tmp_path / "other.h5",
-        range(1),
-        FakeEnv(subtask="close", images=True),
-        images=ImageFormat(),
-    )
+    record_pictures(tmp_path / "other.h5", range(1), "close")
     with pytest.raises(
         UsageError, match="unknown target of this student 'kitchen_counter/drawer3'"
     ):

@@ -12,7 +12,6 @@ import pytest
 from mjhab.config.env import EnvConfig
 from mjhab.config.profiles import MS_HAB
 from mjhab.core.errors import UsageError
-from mjhab.data.store.images import ImageFormat
 from mjhab.evaluation.evaluate import (
     EvalSpec,
     describe_policy,
@@ -27,8 +26,7 @@ from mjhab.learning.runs.collection import longer, make_env
 from mjhab.learning.runs.request import layout_for
 from mjhab.learning.runs.specs import ImitationSpec, Resources, Scene
 from mjhab.learning.students.heads import make_student
-from tests.data.fake_world import FakeEnv
-from tests.data.make import record
+from tests.data.make import record_pictures
 from tests.learning.small import INPUTS, config, fake_env, layout, train_config
 
 CAMERAS = ("fetch_head", "fetch_hand")
@@ -101,12 +99,7 @@ def test_a_stationary_head_is_no_other_layout_but_another_control_mode_is() -> N
 
 
 def test_demonstrations_of_another_profile_are_refused(tmp_path: Path) -> None:
-    record(
-        tmp_path / "a.h5",
-        range(2),
-        FakeEnv(subtask="pick", images=True),
-        images=ImageFormat(),
-    )
+    record_pictures(tmp_path / "a.h5", range(2))
     every = "success or not success"
     request = ImitationSpec.of(
         out=tmp_path / "run",

@@ -14,7 +14,6 @@ import torch
 from safetensors.torch import save_file
 
 from mjhab.core.errors import UsageError
-from mjhab.data.store.images import ImageFormat
 from mjhab.learning import compact
 from mjhab.learning.batches import BatchSampler, take_chunks
 from mjhab.learning.changes import with_changes
@@ -45,8 +44,7 @@ from mjhab.learning.runs.training import BrokenLossError, Trainer
 from mjhab.learning.students.heads import check_student, make_student
 from mjhab.learning.students.student import Batch
 from mjhab.rollout.records import EpisodeRecord
-from tests.data.fake_world import FakeEnv
-from tests.data.make import record
+from tests.data.make import record_pictures
 from tests.data.select.test_query import GOOD
 from tests.learning.small import (
     INPUTS,
@@ -303,12 +301,7 @@ def test_presets_are_plain_data_and_come_back() -> None:
 @pytest.fixture(scope="module")
 def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("source")
-    record(
-        folder / "picks.h5",
-        range(4),
-        FakeEnv(subtask="pick", images=True),
-        images=ImageFormat(),
-    )
+    record_pictures(folder / "picks.h5", range(4))
     return folder
 
 

@@ -21,15 +21,7 @@ from mjhab.reports.paper import paper_success
 from mjhab.robots.robot import Robot
 from tests.learning.small import config
 
-COMMAND = [
-    "reproduce",
-    "table1",
-    "--rows",
-    "set_table/close/drawer",
-    "--preset",
-    "tiny",
-    "--json",
-]
+COMMAND = "reproduce table1 --rows set_table/close/drawer --preset tiny --json".split()
 
 
 def test_rows_are_those_of_the_paper() -> None:
@@ -111,12 +103,7 @@ def test_a_row_is_trained_judged_and_set_beside_the_paper(
         *COMMAND,
         "--out",
         str(tmp_path),
-        "--worlds",
-        "1",
-        "--threads",
-        "1",
-        "--split",
-        "train",
+        *"--worlds 1 --threads 1 --split train".split(),
     ]
     words += ["--episodes", "1"]
     assert main(words) == 0
@@ -162,10 +149,7 @@ def test_a_policy_without_an_update_has_no_result(
         *COMMAND,
         "--out",
         str(tmp_path),
-        "--threads",
-        "1",
-        "--budget-minutes",
-        "1e-6",
+        *"--threads 1 --budget-minutes 1e-6".split(),
     ]
     assert main(words) == 0
     (row,) = json.loads(capsys.readouterr().out.splitlines()[-1])["rows"]

@@ -27,7 +27,7 @@ from mjhab.reports.mosaics import EVERY, TILE, mosaic
 from mjhab.reports.paper import POLICIES, paper_row, paper_success
 from mjhab.tasks.subtasks.registry import SUBTASKS
 from tests.data.fake_world import FakeEnv
-from tests.data.make import record
+from tests.data.make import record, record_pictures
 
 
 def test_every_published_row_adds_up() -> None:
@@ -168,12 +168,7 @@ def test_forces_that_are_not_finite_are_counted_beside_the_histogram(
 
 
 def test_a_mosaic_shows_the_episodes_side_by_side(tmp_path: Path) -> None:
-    record(
-        tmp_path / "a.h5",
-        range(5),
-        FakeEnv(subtask="pick", images=True),
-        images=ImageFormat(),
-    )
+    record_pictures(tmp_path / "a.h5", range(5))
     members = [
         (tmp_path / "a.h5", episode.name) for episode in episodes(tmp_path / "a.h5")
     ]
@@ -211,12 +206,7 @@ def test_a_mosaic_shows_the_episodes_side_by_side(tmp_path: Path) -> None:
 
 
 def test_the_page_is_whole(tmp_path: Path) -> None:
-    record(
-        tmp_path / "a.h5",
-        range(6),
-        FakeEnv(subtask="pick", images=True),
-        images=ImageFormat(),
-    )
+    record_pictures(tmp_path / "a.h5", range(6))
     page = render_data_report(tmp_path, FilmWriter)
     found = re.search(r'id="page-data">(.*?)</script>', page, re.S)
     assert found is not None

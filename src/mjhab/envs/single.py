@@ -26,7 +26,7 @@ OF_WORLDS = frozenset(
     progress render_world render_worlds reporter restorable_parts reward_terms rewarder seeds sensing set_columns
     set_state signals sim source starts state state_as state_digest success tables taint_names task_config teleports
     timed_methods tracker view
-    """.split()  # noqa: SIM905 - a list of names, one per line, would be a page long
+    """.split()
 )
 """Attributes of `SingleEnv.worlds` that `SingleEnv` forwards. Attributes that only vector environments have in
 Gymnasium, such as ``num_envs``, are not forwarded, because other libraries recognise vector environments by them."""

@@ -95,27 +95,10 @@ def test_an_unknown_id_names_the_nearest(capsys: pytest.CaptureFixture[str]):
 
 
 def test_bench_env_splits_the_time_of_a_step(capsys: pytest.CaptureFixture[str]):
-    small = (
-        "--worlds",
-        "1",
-        "2",
-        "--steps",
-        "3",
-        "--rounds",
-        "1",
-        "--camera-size",
-        "16",
-        "--threads",
-        "1",
-    )
+    small = "--worlds 1 2 --steps 3 --rounds 1 --camera-size 16 --threads 1".split()
     code, found = run(
         capsys,
-        "bench",
-        "env",
-        "--env",
-        "mjhab/CloseSubtaskTrain-v1",
-        "--obs",
-        "depth",
+        *"bench env --env mjhab/CloseSubtaskTrain-v1 --obs depth".split(),
         *small,
     )
     assert code == 0 and list(found["stages"]) == list(STAGES)

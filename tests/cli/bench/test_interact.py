@@ -97,19 +97,7 @@ def test_a_surface_that_is_missing_is_told(monkeypatch: pytest.MonkeyPatch) -> N
 
 def test_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "interact"
-    args = [
-        "bench",
-        "interact",
-        "--backend",
-        "cpu",
-        "--worlds",
-        "1",
-        "2",
-        "--seeds",
-        "2",
-        "--steps",
-        "4",
-    ]
+    args = "bench interact --backend cpu --worlds 1 2 --seeds 2 --steps 4".split()
     assert main([*args, "--threads", "1", "--out", str(out), "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
     assert {"sps_mean", "sps_ci95", "device_mb", "rss_mb", "worlds", "device"} <= set(

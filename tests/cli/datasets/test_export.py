@@ -12,20 +12,13 @@ import pytest
 
 from mjhab.cli.exits import INTERRUPTED, OK, USAGE
 from mjhab.cli.main import main
-from mjhab.data.store.images import ImageFormat
 from mjhab.data.store.reading import RecordedEpisode
-from tests.data.fake_world import FakeEnv
-from tests.data.make import record
+from tests.data.make import record_pictures
 
 
 @pytest.fixture
 def shard(tmp_path: Path) -> Path:
-    record(
-        tmp_path / "a.h5",
-        range(3),
-        FakeEnv(subtask="pick", images=True),
-        images=ImageFormat(),
-    )
+    record_pictures(tmp_path / "a.h5", range(3))
     return tmp_path / "a.h5"
 
 

@@ -167,14 +167,7 @@ def test_replay_renders(
     command = (
         "replay",
         str(made),
-        "--render",
-        "depth",
-        "--cameras",
-        "fetch_hand",
-        "--camera-size",
-        "12",
-        "16",
-        "--where",
+        *"--render depth --cameras fetch_hand --camera-size 12 16 --where".split(),
         "index == 1",
         "--out",
         str(out),
@@ -240,13 +233,7 @@ def test_what_cannot_work_is_refused_before_anything_is_built(
         (("generate", "--episodes", "1", "--out", str(made)), "Give --resume"),
         (
             (
-                "generate",
-                "--subtask",
-                "place",
-                "--episodes",
-                "1",
-                "--resume",
-                "--out",
+                *"generate --subtask place --episodes 1 --resume --out".split(),
                 str(made),
             ),
             "another",
@@ -287,13 +274,7 @@ def test_a_quota_that_was_not_filled_fails(
     found = machine(
         capsys,
         *COMMAND,
-        "--target",
-        "024_bowl",
-        "--per-target",
-        "1",
-        "--keep",
-        "success",
-        "--out",
+        *"--target 024_bowl --per-target 1 --keep success --out".split(),
         str(tmp_path),
         code=1,
     )
@@ -335,10 +316,7 @@ def test_styles_are_drawn_per_episode_and_kept_with_it(
     machine(
         capsys,
         *COMMAND,
-        "--subtask",
-        "place",
-        "--policy",
-        "expert",
+        *"--subtask place --policy expert".split(),
         *words,
         "--out",
         str(out),
@@ -366,12 +344,7 @@ def test_styles_are_drawn_per_episode_and_kept_with_it(
     assert "style" in refused(
         capsys,
         *COMMAND,
-        "--subtask",
-        "place",
-        "--policy",
-        "expert",
-        "--resume",
-        "--out",
+        *"--subtask place --policy expert --resume --out".split(),
         str(out),
     )
 

@@ -84,12 +84,7 @@ def run(stage: Stage, tmp_path: Path) -> Callable[..., int]:
             "eval",
             "--policy",
             policy,
-            "--episodes",
-            "12",
-            "--worlds",
-            "3",
-            "--films",
-            "0",
+            *"--episodes 12 --worlds 3 --films 0".split(),
         ]
         return main([*base, "--out", str(tmp_path / out), *extra])
 
@@ -319,12 +314,7 @@ def test_a_policy_of_ones_own(
     assert "by mine.py:Still" in (tmp_path / "run" / "report.html").read_text()
     assert (
         run(
-            "--obs",
-            "rgb",
-            "--camera-size",
-            "64",
-            "--control",
-            "pd_ee_delta_pose",
+            *"--obs rgb --camera-size 64 --control pd_ee_delta_pose".split(),
             policy=spec,
             out="rgb",
         )

@@ -21,13 +21,7 @@ from tests.serving.constant import Constant, serving
 def test_the_first_line_is_the_port_and_ctrl_c_ends_it() -> None:
     command = [
         sys.executable,
-        "-m",
-        "mjhab.cli.main",
-        "serve",
-        "zero",
-        "--port",
-        "0",
-        "--json",
+        *"-m mjhab.cli.main serve zero --port 0 --json".split(),
     ]
     with subprocess.Popen(
         command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
@@ -115,16 +109,7 @@ def test_json_has_latencies_whether_or_not_something_was_answered(
             "--subtask",
             "close",
         ]
-        command += [
-            "--episodes",
-            "1",
-            "--films",
-            "0",
-            "--threads",
-            "1",
-            "--camera-size",
-            "16",
-        ]
+        command += "--episodes 1 --films 0 --threads 1 --camera-size 16".split()
         code = 1 if error else 0
         run = main([*command, *words, "--out", str(tmp_path / "run"), "--json"])
         assert run == code

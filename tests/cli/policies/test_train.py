@@ -10,12 +10,10 @@ from typing import Any
 import pytest
 
 from mjhab.cli.main import main, parse
-from mjhab.data.store.images import ImageFormat
 from mjhab.learning import configs
 from mjhab.learning.checkpoint import load_student
 from mjhab.robots.registry import robot_named
-from tests.data.fake_world import FakeEnv
-from tests.data.make import record
+from tests.data.make import record_pictures
 from tests.learning.small import train_config
 
 COMMAND = "train dagger --task set_table --subtask close --target kitchen_counter/drawer3 --preset quick"
@@ -26,14 +24,7 @@ def test_options_become_a_request(tmp_path: Path) -> None:
     words = [
         *DAGGER,
         str(tmp_path),
-        "--rounds",
-        "2",
-        "--takeovers",
-        "5",
-        "--demos",
-        "7",
-        "--style",
-        "noise=0..0.2",
+        *"--rounds 2 --takeovers 5 --demos 7 --style noise=0..0.2".split(),
     ]
     request = parse(words).spec
     assert (
@@ -120,14 +111,7 @@ def test_bad_input(
     assert said in capsys.readouterr().err
 
 
-CLOSE = (
-    "--subtask",
-    "close",
-    "--target",
-    "kitchen_counter/drawer3",
-    "--home",
-    "builtin_m0_00",
-)
+CLOSE = "--subtask close --target kitchen_counter/drawer3 --home builtin_m0_00".split()
 
 
 @pytest.mark.parametrize(
@@ -231,12 +215,7 @@ def test_an_interrupted_run_says_what_is_there(
 def test_a_run_that_trained_nothing_is_no_success(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    record(
-        tmp_path / "shard.h5",
-        range(4),
-        FakeEnv(subtask="pick", images=True),
-        images=ImageFormat(),
-    )
+    record_pictures(tmp_path / "shard.h5", range(4))
     out = tmp_path / "run"
     words = [
         "train",
@@ -289,22 +268,11 @@ def test_no_round_is_empty(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -
 def test_from_data_to_a_checkpoint(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    record(
-        tmp_path / "data" / "a.h5",
-        range(4),
-        FakeEnv(subtask="pick", images=True),
-        images=ImageFormat(),
-    )
+    record_pictures(tmp_path / "data" / "a.h5", range(4))
     monkeypatch.setitem(configs.PRESETS["bc"], "tiny", train_config())
     out = tmp_path / "run"
     words = [
-        "train",
-        "bc",
-        "--preset",
-        "tiny",
-        "--subtask",
-        "pick",
-        "--data",
+        *"train bc --preset tiny --subtask pick --data".split(),
         str(tmp_path / "data"),
     ]
     words += [

@@ -38,18 +38,7 @@ def refused(capsys: pytest.CaptureFixture[str], code: int, *args: str) -> str:
 @pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("episodes") / "new" / "groceries.json.gz"
-    args = (
-        "--task",
-        "prepare_groceries",
-        "--split",
-        "val",
-        "--count",
-        "2",
-        "--seed",
-        "1",
-        "--workers",
-        "1",
-    )
+    args = "--task prepare_groceries --split val --count 2 --seed 1 --workers 1".split()
     assert main(["episodes", "make", *args, "--out", str(out)]) == 0
     return out
 
@@ -76,13 +65,7 @@ def test_make_says_what_it_did(
     out = tmp_path / "a.json"
     said = machine(
         capsys,
-        "episodes",
-        "make",
-        "--task",
-        "set_table",
-        "--count",
-        "1",
-        "--out",
+        *"episodes make --task set_table --count 1 --out".split(),
         str(out),
     )
     assert list(said) == ["episodes", "rejected", "seconds"] and said["episodes"] == 1

@@ -240,15 +240,9 @@ def test_one_real_sheet(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None
     assert (
         main(
             [
-                "homes",
-                "render",
-                "--all",
-                "--out",
+                *"homes render --all --out".split(),
                 str(out),
-                "--width",
-                "96",
-                "--height",
-                "72",
+                *"--width 96 --height 72".split(),
             ]
         )
         == 0

@@ -15,13 +15,12 @@ from mjhab.core.errors import UsageError
 from mjhab.data.export.conventions import CONVENTIONS
 from mjhab.data.imports.ms_hab import import_ms_hab
 from mjhab.data.select.until import Until
-from mjhab.data.store.images import ImageFormat
 from mjhab.data.store.places import episodes
 from mjhab.data.store.reading import RecordedEpisode
 from mjhab.tasks.subtasks.pick import PICK
 from tests.data.export.exporting import to_maniskill
 from tests.data.fake_world import SIZE, FakeEnv
-from tests.data.make import record
+from tests.data.make import record, record_pictures
 
 FAILED = 8
 """Index of an episode of the fake environment that fails; the next ones succeed."""
@@ -30,12 +29,7 @@ FAILED = 8
 @pytest.fixture(scope="module")
 def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("source")
-    record(
-        folder / "picks.h5",
-        range(3),
-        FakeEnv(subtask="pick", images=True),
-        images=ImageFormat(),
-    )
+    record_pictures(folder / "picks.h5", range(3))
     record(folder / "opens.h5", range(2), FakeEnv(subtask="open"))
     record(folder / "chains.h5", [0], FakeEnv())
     return folder

@@ -22,7 +22,6 @@ from mjhab.data.select.dataset import Normalization, Window, WindowDataset
 from mjhab.data.select.query import Filter
 from mjhab.data.select.sets import select, stats
 from mjhab.data.store.checking import check
-from mjhab.data.store.images import ImageFormat
 from mjhab.data.store.older.object_axes import shown_objects
 from mjhab.data.store.places import episodes
 from mjhab.render.film import FilmWriter
@@ -30,7 +29,7 @@ from mjhab.reports.dataset import render_data_report
 from mjhab.rollout.records import PlanEntry
 from tests.data.export.exporting import to_maniskill
 from tests.data.fake_world import FakeEnv
-from tests.data.make import record
+from tests.data.make import record, record_pictures
 
 STEPS = 6
 SIDE = 8
@@ -136,7 +135,7 @@ def rewrite(path: Path, **values: Any) -> None:
 
 def test_an_export_comes_back(tmp_path: Path) -> None:
     source = tmp_path / "picks.h5"
-    record(source, range(4), FakeEnv(subtask="pick", images=True), images=ImageFormat())
+    record_pictures(source, range(4))
     files = to_maniskill(source, tmp_path / "exported").files
     done = import_ms_hab(files[0], tmp_path / "back")
     assert (done.episodes, done.frames, done.present) == (4, 80, 0)

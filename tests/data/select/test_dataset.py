@@ -25,7 +25,7 @@ from mjhab.data.store.schema import DamagedError
 from mjhab.rollout.loop import rollout
 from mjhab.rollout.policy import RandomPolicy
 from tests.data.fake_world import SIZE, FakeEnv
-from tests.data.make import record
+from tests.data.make import record, record_pictures
 
 DEPTH = "fetch_head/depth"
 
@@ -130,7 +130,7 @@ def test_windows_of_episode_files_are_those_of_their_shard(tmp_path: Path) -> No
 
 def test_a_file_that_was_replaced_is_told(source: Path, tmp_path: Path) -> None:
     path = tmp_path / "a.h5"
-    record(path, range(1), FakeEnv(subtask="pick", images=True), images=ImageFormat())
+    record_pictures(path, range(1))
     data = WindowDataset(path, Window(images=(DEPTH,)))
     path.write_bytes(bytes(path.stat().st_size))
     with pytest.raises(

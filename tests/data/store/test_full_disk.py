@@ -13,12 +13,10 @@ import pytest
 from mjhab.data.export.lerobot.parts import FilmTools
 from mjhab.data.select.sets import split
 from mjhab.data.store import hdf5
-from mjhab.data.store.images import ImageFormat
 from mjhab.data.store.storage import StorageError
 from mjhab.render.film import FilmWriter, join_films
 from tests.data.export.exporting import to_lerobot, to_maniskill
-from tests.data.fake_world import FakeEnv
-from tests.data.make import record
+from tests.data.make import record_pictures
 from tests.data.store.test_crash import small_disk
 
 ANEW = "the disk is full. Nothing was left behind; free some space and run the same command again"
@@ -29,12 +27,7 @@ Write = Callable[..., Any]
 @pytest.fixture(scope="module")
 def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("source")
-    record(
-        folder / "a.h5",
-        range(3),
-        FakeEnv(subtask="pick", images=True),
-        images=ImageFormat(),
-    )
+    record_pictures(folder / "a.h5", range(3))
     return folder
 
 

@@ -30,7 +30,7 @@ from mjhab.data.store.writing import write_shard
 from mjhab.rollout.records import EpisodeRecord
 from tests.data.export.exporting import to_maniskill
 from tests.data.fake_world import FakeEnv
-from tests.data.make import numbered, one_episode, record
+from tests.data.make import numbered, one_episode, record, record_pictures
 
 
 @pytest.fixture(scope="module")
@@ -415,7 +415,7 @@ def large_header() -> bytes:
 )
 def test_frames_that_are_no_pictures(tmp_path: Path, frame: bytes, message: str) -> None:
     source = tmp_path / "source.h5"
-    record(source, range(2), FakeEnv(subtask="pick", images=True), images=ImageFormat())
+    record_pictures(source, range(2))
     path = tmp_path / "a.h5"
 
     def change(_: h5py.File, episode: h5py.Group) -> None:

@@ -32,17 +32,26 @@ ROWS = (
     ("set_table", "close", "kitchen_counter/drawer3"),
 )
 CHAINS = ("tidy_house", "prepare_groceries", "set_table")
-KEYS = ("task", "subtask", "target", "split", "seed")
-"""What identifies a row of the file; whole tasks have no subtask."""
+KEYS = ("task", "subtask", "target", "split", "seed", "pack")
+"""What identifies a row of the file; whole tasks have no subtask. The pack of a folder has the folder's name."""
 
 
-def command(row: dict[str, Any], episodes: int, folder: Path) -> list[str]:
+def command(row: dict[str, Any], episodes: int, assets: str, folder: Path) -> list[str]:
     """`mjhab eval` of a row."""
     words = [sys.executable, "-m", "mjhab", "eval", "--policy", "student"]
     words += ["--task", row["task"], "--split", row["split"], "--seed", str(row["seed"])]
     for name in ("subtask", "target"):
         words += [f"--{name}", row[name]] if row[name] else []
-    words += ["--profile", "ms_hab", "--episodes", str(episodes), "--worlds", "16"]
+    words += [
+        "--assets",
+        assets,
+        "--profile",
+        "ms_hab",
+        "--episodes",
+        str(episodes),
+        "--worlds",
+        "16",
+    ]
     words += ["--films", "0", "--threads", "1", "--out", str(folder), "--json"]
     return words + (["--resume"] if (folder / "config.json").is_file() else [])
 
@@ -79,7 +88,7 @@ def take(row: dict[str, Any]) -> None:
         rows = json.loads(FILE.read_text(encoding="utf-8"))["rows"]
     table = {tuple(each[key] for key in KEYS): each for each in [*rows, row]}
     content = {
-        "what": "policies that come with mjhab, profile ms_hab, built-in homes",
+        "what": "policies that come with mjhab, profile ms_hab",
         "date": datetime.date.today().isoformat(),
         "version": __version__,
         "command": "python docs/scripts/judge_students.py --out runs/judged",
@@ -96,7 +105,9 @@ def wanted(options: argparse.Namespace) -> list[tuple[dict[str, Any], int]]:
     for split in options.split:
         for seed in options.seed:
             for task, subtask, target, count in names:
-                row = dict(zip(KEYS, (task, subtask, target, split, seed), strict=True))
+                pack = Path(options.assets).name
+                values = (task, subtask, target, split, seed, pack)
+                row = dict(zip(KEYS, values, strict=True))
                 shown = "/".join(filter(None, (task, subtask or "chain", target)))
                 if count and any(shown.startswith(only) for only in options.only):
                     found.append((row, count))
@@ -106,6 +117,9 @@ def wanted(options: argparse.Namespace) -> list[tuple[dict[str, Any], int]]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument(
+        "--assets", default="builtin", help="builtin, or FOLDER of a pack"
+    )
     parser.add_argument("--split", nargs="+", default=["val", "test"])
     parser.add_argument("--seed", nargs="+", type=int, default=[0])
     parser.add_argument("--episodes", type=int, default=200)
@@ -118,7 +132,9 @@ def main() -> None:
         name = ".".join(str(row[key]).replace("/", "-") or "all" for key in KEYS)
         folder = options.out / name
         print(name, flush=True)
-        done = subprocess.run(command(row, count, folder), stdout=subprocess.DEVNULL)
+        done = subprocess.run(
+            command(row, count, options.assets, folder), stdout=subprocess.DEVNULL
+        )
         if done.returncode:
             sys.exit(done.returncode)
         take(judged(row, folder, commit))

@@ -106,9 +106,14 @@ def share_of(row: dict[str, Any] | None) -> list[str]:
     ]
 
 
-def judged_table() -> str:
-    """One line per shipped student, val beside test, with the paper's numbers for val."""
-    rows = [row for row in read("students-judged")["rows"] if row["subtask"]]
+def judged_rows(pack: str) -> list[dict[str, Any]]:
+    return [row for row in read("students-judged")["rows"] if row["pack"] == pack]
+
+
+def judged_table(pack: str) -> str:
+    """One line per shipped student of a pack's homes, val beside test, with the paper's numbers for val."""
+    rows = judged_rows(pack)
+    rows = [row for row in rows if row["subtask"]]
     found = {(*place_of(row), row["seed"], row["split"]): row for row in rows}
     head = ["task", "subtask", "target"]
     for split in ("val", "test"):
@@ -129,23 +134,24 @@ def judged_table() -> str:
 
 def chain_table() -> str:
     """One line per whole task, split and seed."""
-    rows = [row for row in read("students-judged")["rows"] if not row["subtask"]]
+    rows = [row for row in judged_rows("builtin") if not row["subtask"]]
     head = ("task", "split", "seed", "whole task %", "95 %", "of", "tainted")
     lines = []
     for row in rows:
         line = [row["task"], row["split"], str(row["seed"]), *share_of(row)]
         line.append(str(row["tainted"]))
         counts = [part for part in row["subtasks"] if part["kind"] != "navigate"]
-        told = (
+        shares = (
             f"{part['kind']} {part['successes']}/{part['reached']}" for part in counts
         )
-        lines.append([*line, ", ".join(told)])
+        lines.append([*line, ", ".join(shares)])
     columns = (*head, "subtasks that succeeded of those reached, in plan order")
     return table(columns, lines) + source("students-judged")
 
 
 TABLES = {
-    "policies": judged_table,
+    "policies": lambda: judged_table("builtin"),
+    "policies_replica_cad": lambda: judged_table("replica_cad"),
     "policies_chains": chain_table,
     "trainings": lambda: student_table("builtin"),
     "trainings_replica_cad": lambda: student_table("replica_cad"),

@@ -23,7 +23,7 @@ from mjhab.learning.configs import (
     TrainConfig,
 )
 from mjhab.learning.demos import Demonstrations
-from mjhab.learning.observation.parts import SubtaskTold, code_of
+from mjhab.learning.observation.parts import SubtaskConditioning, code_of
 from mjhab.learning.observation.spec import ObservationSpec
 from mjhab.learning.reinforcement.specs import ReinforcementSpec
 from mjhab.learning.runs.run import TrainingResult
@@ -52,7 +52,7 @@ def layout(inputs: InputConfig = INPUTS) -> ObservationSpec:
 def condition_of(
     told: ObservationSpec, kind: str, target: str, sentence: str = ""
 ) -> np.ndarray:
-    return code_of(SubtaskTold(kind, target, sentence), told)
+    return code_of(SubtaskConditioning(kind, target, sentence), told)
 
 
 def config(

@@ -70,7 +70,7 @@ def test_no_message_shows_a_password(spec: str) -> None:
 def test_the_address_is_told_without_its_password() -> None:
     address = Address.parse("ws://me:secret@host:8000/path?dialect=roboarena")
     assert address.uri == "ws://me:secret@host:8000/path"
-    assert address.told == "ws://host:8000/path"
+    assert address.shown == "ws://host:8000/path"
     assert without_password("FILE@home.py:Mine") == "FILE@home.py:Mine"
 
 

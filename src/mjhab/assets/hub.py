@@ -195,14 +195,14 @@ def _patiently(ask: Callable[[], Answer], what: str) -> Answer:
         except UsageError:
             raise
         except Exception as error:
-            told = _told(what, error)
-            if attempt == TRIES or not told.passes:
-                raise told from error
+            failure = _transfer_error(what, error)
+            if attempt == TRIES or not failure.passes:
+                raise failure from error
         time.sleep(2.0**attempt)
     raise AssertionError("the last try returns or raises")
 
 
-def _told(what: str, error: BaseException) -> TransferError:
+def _transfer_error(what: str, error: BaseException) -> TransferError:
     """An error of the library in one line."""
     import httpx2
     from huggingface_hub.errors import (
@@ -215,7 +215,7 @@ def _told(what: str, error: BaseException) -> TransferError:
     if isinstance(error, TransferError):
         return error
     if isinstance(error, LocalEntryNotFoundError) and error.__cause__ is not None:
-        return _told(what, error.__cause__)
+        return _transfer_error(what, error.__cause__)
     if isinstance(error, OfflineModeIsEnabled):
         return TransferError(
             what, "HF_HUB_OFFLINE forbids the network; unset it, or give --offline."

@@ -12,7 +12,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from mjhab.rollout.records import skips_told
+from mjhab.rollout.records import skips_text
 
 PIPED_WIDTH = 10_000
 """Width of output that does not go to a terminal [characters]; wider than any table."""
@@ -25,9 +25,9 @@ def print_json(value: Mapping[str, Any]) -> None:
     print(json.dumps(value, allow_nan=False), flush=True)
 
 
-def tell_caution(told: Mapping[str, Any]) -> None:
+def tell_caution(summary: Mapping[str, Any]) -> None:
     """Warn on stderr of a policy, as the configuration or description that records it does, if it does."""
-    caution = told.get("policy_caution")
+    caution = summary.get("policy_caution")
     if caution:
         print(f"mjhab: {caution}", file=sys.stderr)
 
@@ -62,7 +62,7 @@ def tell_skipped(skipped: Mapping[str, int]) -> None:
     """Tell on stderr which homes had no room and were skipped, if any; ``skipped``: number of episodes by home."""
     if skipped:
         print(
-            f"mjhab: skipped, because they have no room: {skips_told(skipped)}",
+            f"mjhab: skipped, because they have no room: {skips_text(skipped)}",
             file=sys.stderr,
         )
 

@@ -101,13 +101,13 @@ class Option:
             hint = hint | None
             shown = shown or f"default: {_in_words(default)}"
             default = None
-        told = tyro.conf.arg(
+        flag = tyro.conf.arg(
             name=f"{self.name}.{self.keyed.key}" if self.keyed else self.name,
             metavar=(self.flag.metavar or _metavar(hint)) if self.takes_value else None,
             help=self.help,
             help_behavior_hint=f"({shown})" if shown else None,
         )
-        annotation = Annotated[hint, told]
+        annotation = Annotated[hint, flag]
         if self.flag.positional:
             annotation = tyro.conf.Positional[annotation]
         if default is dataclasses.MISSING:
@@ -120,7 +120,7 @@ class Parsed:
     """A parsed command line.
 
     command: the command. values: of its specification, in nested mappings. json, cache_mb: options of all commands,
-    which are no part of a specification. tells: whether the command is only told, not run.
+    which are no part of a specification. tells: whether the command is only printed, not run.
     """
 
     command: Command

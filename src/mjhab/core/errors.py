@@ -12,7 +12,7 @@ _REPR = reprlib.Repr()
 _REPR.maxstring = _REPR.maxother = 120
 _REPR.maxlong = 40
 _log = logging.getLogger("mjhab")
-_told: set[str] = set()
+_warned: set[str] = set()
 """Warnings that this process has given."""
 
 
@@ -92,20 +92,20 @@ def wrong_type(
     option: str, given: object, expected: str, advice: str = "", where: object = ""
 ) -> FieldError:
     """Build the error for a value of another type than expected; the message names its type, too. See `wrong_value`."""
-    told = f"{shown(given)} ({type(given).__name__})"
-    return _refusal(option, given, expected, told, advice, where)
+    given_text = f"{shown(given)} ({type(given).__name__})"
+    return _refusal(option, given, expected, given_text, advice, where)
 
 
 def _refusal(
     option: str,
     given: object,
     expected: str | tuple[str, ...],
-    told: str,
+    given_text: str,
     advice: str,
     where: object,
 ) -> FieldError:
     wanted = expected if isinstance(expected, str) else " or ".join(expected)
-    message = _joined(f"{option} must be {wanted}, got {told}.", advice)
+    message = _joined(f"{option} must be {wanted}, got {given_text}.", advice)
     return FieldError(
         _placed(where, message),
         option=option,
@@ -190,6 +190,6 @@ def about(
 
 def warn_once(text: str) -> None:
     """Log a warning to the logger ``mjhab``, unless this process has logged the same text before."""
-    if text not in _told:
-        _told.add(text)
+    if text not in _warned:
+        _warned.add(text)
         _log.warning(text)

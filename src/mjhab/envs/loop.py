@@ -420,7 +420,7 @@ class TaskLoop(VectorEnv, ABC):
         new, outcome = progress_rules.advance(progress, signals, tables, self.task_config)
         inputs = self._reward_inputs(world, signals, new)
         reward, self.reward_terms = self.rewarder.step(inputs)
-        told = self._note(signals, outcome, progress)
+        events = self._note(signals, outcome, progress)
         self.progress = new
         if may_hold(outcome.advanced):
             self.follow(new)
@@ -428,7 +428,7 @@ class TaskLoop(VectorEnv, ABC):
         self.judged = signals
         self.success = outcome.success
         self.fail = outcome.fail
-        return self._finish(told, reward, outcome)
+        return self._finish(events, reward, outcome)
 
     def _advance_physics(self, actions: Array) -> Array:
         """Advance physics by one control step; returns the mask of `_simulate`."""
@@ -465,7 +465,7 @@ class TaskLoop(VectorEnv, ABC):
         return RewardInputs(self.state, world, signals, self.focus, progress)
 
     def _finish(
-        self, told: StepEvents, reward: Array, outcome: StepOutcome
+        self, events: StepEvents, reward: Array, outcome: StepOutcome
     ) -> tuple[dict, Array, Array, Array, dict]:
         """Reset finished worlds according to the autoreset mode, begin next subtasks; returns the result of `step`."""
         mode = self.config.autoreset
@@ -479,7 +479,7 @@ class TaskLoop(VectorEnv, ABC):
         if mode == "same_step" and may_hold(outcome.done):
             fresh = outcome.done
             seen = self._observe()
-            final = {"final_info": self._info(told)}
+            final = {"final_info": self._info(events)}
             final["final_obs"] = self._keyed(seen)
             final |= {"_final_obs": fresh, "_final_info": fresh}
         elif mode == "next_step":
@@ -494,7 +494,7 @@ class TaskLoop(VectorEnv, ABC):
         if mode == "next_step":
             self.due = outcome.done
         obs = self._observe() if seen is None else self._observe(seen, changed)
-        return self._keyed(obs), reward, terminated, truncated, self._info(told) | final
+        return self._keyed(obs), reward, terminated, truncated, self._info(events) | final
 
     def link_state(self) -> Array:
         """(W, 5) state of the active subtask's link, see `Sensing.link_state`; it is not part of observations."""
@@ -514,13 +514,13 @@ class TaskLoop(VectorEnv, ABC):
         """`info` of the present state, without events; `reset` must have been called."""
         return self._info(self._nothing())
 
-    def _info(self, told: StepEvents) -> dict[str, Any]:
-        """Make the dict `info`: arrays (W,), which later steps do not modify, and the entries of ``told``.
+    def _info(self, events: StepEvents) -> dict[str, Any]:
+        """Make the dict `info`: arrays (W,), which later steps do not modify, and the entries of ``events``.
 
         Keys: "pointer", "kind" of the active subtask, "steps_left", "robot_force" [N] without the fingers,
         "finger_force" [N] of both fingers, by whatever they touch, "cumulative_force" [N x steps] of the robot's,
         "success", "fail", "taint" (bits of `taint_names`), "nan_resets" so far, "spawn_fallback", the CHECKERS,
-        "reward_terms" (name to (W,)). The entries of ``told`` belong to the episode that was stepped, which under
+        "reward_terms" (name to (W,)). The entries of ``events`` belong to the episode that was stepped, which under
         "same_step" may have ended; all others describe the present state.
         """
         signals = self.signals
@@ -541,7 +541,7 @@ class TaskLoop(VectorEnv, ABC):
             "reward_terms": self.reward_terms,
         }
         info.update(zip(CHECKERS, _checkers(signals), strict=True))
-        info.update(told.entries())
+        info.update(events.entries())
         return info
 
 

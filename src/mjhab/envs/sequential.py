@@ -225,11 +225,11 @@ class SequentialTaskEnv(TaskLoop, VectorEnv):
             self.state, self.focus, self.signals, self.homes, known, changed
         )
 
-    def _info(self, told: StepNotes) -> dict[str, Any]:
+    def _info(self, events: StepNotes) -> dict[str, Any]:
         about = self.reporter.entries(
             self.episodes_now, self.tables.plans, self.progress.pointer
         )
-        return super()._info(told) | about
+        return super()._info(events) | about
 
     def timed_methods(self) -> dict[str, list[tuple[Any, str]]]:
         """See `TaskLoop.timed_methods`."""

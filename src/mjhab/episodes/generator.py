@@ -93,7 +93,7 @@ class EpisodeMaker:
         for k, rule in enumerate(self.spec.targets):
             if rule.object and rule.object not in roster:
                 raise fault(
-                    TASKS.told(self.task),
+                    TASKS.described(self.task),
                     f"targets[{k}]: {unknown_name('object', rule.object, set(roster))} Name it in "
                     "TaskSpec.objects, too.",
                 )
@@ -130,8 +130,8 @@ class EpisodeMaker:
                 episode = self._draw(seed, index, attempt, home)
                 if episode is not None:
                     rejected = len(skipped) * MOST_DRAWS + attempt
-                    told = dataclasses.replace(episode, skipped_homes=tuple(skipped))
-                    return told, rejected
+                    accepted = dataclasses.replace(episode, skipped_homes=tuple(skipped))
+                    return accepted, rejected
             skipped.append(home.name)
             if len(skipped) < len(self.homes):
                 self._tell_skipped(home.name)

@@ -49,7 +49,7 @@ def script_of(subtask: str) -> Callable[[WorldView], Script]:
         raise UsageError(
             f"no expert can do the subtask {subtask!r}: its SubtaskSpec names none. Take another policy."
         )
-    where = f"{SUBTASKS.told(subtask)}: expert"
+    where = f"{SUBTASKS.described(subtask)}: expert"
     try:
         script = resolved(expert)
     except UsageError as error:
@@ -78,7 +78,7 @@ def _blamed(subtask: str) -> Iterator[None]:
             error.add_note(f"The expert of {subtask!r} raised this{where}.")
             raise
         raise UsageError(
-            f"the expert of {SUBTASKS.told(subtask)} raised {raised_text(error)}{where}."
+            f"the expert of {SUBTASKS.described(subtask)} raised {raised_text(error)}{where}."
         ) from error
 
 
@@ -199,8 +199,8 @@ class ExpertPolicy:
             begun = script(view)
         if not isinstance(begun, Iterator):
             raise UsageError(
-                f"the expert of {SUBTASKS.told(subtask.name)} must be a generator function, which yields actions; it "
-                f"returned {type(begun).__name__}."
+                f"the expert of {SUBTASKS.described(subtask.name)} must be a generator function, which yields actions; "
+                f"it returned {type(begun).__name__}."
             )
         return begun
 

@@ -111,7 +111,7 @@ class LeRobotEnv(gymnasium.Env):
         chosen = {"episode": np.array([self._index]), "reset_mask": np.ones(1, bool)}
         obs, info = self._env.reset(seed=self.options.seed, options=chosen)
         self._success = False
-        return self._told(obs, info)
+        return self._converted(obs, info)
 
     def step(
         self, action: np.ndarray
@@ -127,8 +127,8 @@ class LeRobotEnv(gymnasium.Env):
             raise UsageError(problem)
         obs, reward, terminated, truncated, info = self._env.step(self._reader.read(sent))
         self._success |= bool(info["success"][0])
-        seen, told = self._told(obs, info)
-        return seen, float(reward[0]), bool(terminated[0]), bool(truncated[0]), told
+        seen, about = self._converted(obs, info)
+        return seen, float(reward[0]), bool(terminated[0]), bool(truncated[0]), about
 
     def render(self) -> np.ndarray:
         """A view over the robot's shoulder, (H, W, 3) uint8."""
@@ -138,7 +138,7 @@ class LeRobotEnv(gymnasium.Env):
         """Close the world."""
         self._env.close()
 
-    def _told(self, obs: Any, info: Any) -> tuple[dict[str, Any], dict[str, Any]]:
+    def _converted(self, obs: Any, info: Any) -> tuple[dict[str, Any], dict[str, Any]]:
         self.task_description = info["instruction"][0]
         images = {
             name: obs[camera_key(camera, "rgb")][0]

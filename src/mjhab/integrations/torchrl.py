@@ -97,7 +97,7 @@ class _TorchrlWorlds:
         obs, info = self._env.reset(seed=self._start, options=options)
         self._start = None
         nothing = torch.zeros(*self.batch_size, 1, dtype=torch.bool, device=self.device)
-        return self._told({**_shown(obs, info), **_ends(nothing, nothing)})
+        return self._tensordict({**_shown(obs, info), **_ends(nothing, nothing)})
 
     def _step(self, tensordict: Any) -> Any:
         actions = tensordict["action"].detach()
@@ -106,12 +106,14 @@ class _TorchrlWorlds:
         )
         ends = (torch.as_tensor(value)[:, None] for value in (terminated, truncated))
         entries = {**_shown(obs, info), **_ends(*ends)}
-        return self._told({**entries, "reward": torch.as_tensor(reward).float()[:, None]})
+        return self._tensordict(
+            {**entries, "reward": torch.as_tensor(reward).float()[:, None]}
+        )
 
     def _set_seed(self, seed: int | None) -> None:
         self._start = seed
 
-    def _told(self, entries: dict[str, torch.Tensor]) -> Any:
+    def _tensordict(self, entries: dict[str, torch.Tensor]) -> Any:
         from tensordict import TensorDict  # pyright: ignore[reportMissingImports]
 
         return TensorDict(entries, batch_size=self.batch_size, device=self.device)

@@ -84,8 +84,8 @@ def read_entries(path: Path) -> tuple[Entry, ...]:
         SUBTASKS.check(entry.subtask)
         place = (entry.subtask, entry.target)
         if place in seen:
-            told = f"{entry.subtask} {entry.target or 'of all targets'}"
-            raise UsageError(f"{path} names two policies for {told}; leave one out.")
+            row = f"{entry.subtask} {entry.target or 'of all targets'}"
+            raise UsageError(f"{path} names two policies for {row}; leave one out.")
         seen.add(place)
     return entries
 
@@ -283,11 +283,11 @@ class PoliciesBySubtask:
                 episode if own else None
                 for episode, own in zip(episodes, mine, strict=True)
             ]
-            told = {**info, "episode_spec": shown}
+            about = {**info, "episode_spec": shown}
             if isinstance(policy, Selective):
-                actions[mine] = policy.act_in(obs, told, mine)[mine]
+                actions[mine] = policy.act_in(obs, about, mine)[mine]
             else:
-                actions[mine] = policy.act(obs, told)[mine]
+                actions[mine] = policy.act(obs, about)[mine]
         return actions
 
     def fault(self, world: int) -> str:

@@ -162,11 +162,11 @@ def _read(name: str, text: str, like: Any, bound: Bound | None) -> Any:
     return value
 
 
-def _check(told: str, value: Any, bound: Bound | None) -> None:
+def _check(label: str, value: Any, bound: Bound | None) -> None:
     """Refuse a number that is too small or not finite.
 
     Raises:
-        UsageError: names the field as ``told``.
+        UsageError: names the field as ``label``.
     """
     if isinstance(value, bool) or not isinstance(value, int | float):
         return
@@ -174,7 +174,7 @@ def _check(told: str, value: Any, bound: Bound | None) -> None:
     least = usual if bound is None else bound.least
     # Whole numbers of any size are finite; math.isfinite would not take large ones.
     if not (least <= value < math.inf and value > -math.inf):
-        raise UsageError(f"{told} must be at least {least}, and finite; got {value}.")
+        raise UsageError(f"{label} must be at least {least}, and finite; got {value}.")
 
 
 def _words(name: str) -> tuple[str, ...]:

@@ -69,8 +69,8 @@ def save_compact(
     """
     saved = load_checkpoint(source)
     student = student_of(source, saved)
-    told = saved.about if about is None else about
-    save_tensors(target, student, compacted(student.state_dict()), told)
+    metadata = saved.about if about is None else about
+    save_tensors(target, student, compacted(student.state_dict()), metadata)
 
 
 def load_checkpoint(path: Path) -> Checkpoint:

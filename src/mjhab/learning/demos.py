@@ -173,7 +173,7 @@ def observation_spec_of_data(
             recorded_profile(episode),
             kinds=SUBTASKS.names(),
             robot=str(episode.run.config["env"].get("robot", "")),
-        ).told_in(episode.conventions)
+        ).in_conventions(episode.conventions)
         check_inputs(episode, layout)
     return layout
 

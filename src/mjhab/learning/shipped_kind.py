@@ -136,8 +136,8 @@ class ShippedTask(PoliciesTogether):
         entries = []
         for name, opened in zip(named, self.opened, strict=True):
             assert isinstance(opened, CheckpointFiles)
-            told = opened.content[0].about
-            scene = next(one for one in scenes_of(told) if file_name(**one) == name)
+            metadata = opened.content[0].about
+            scene = next(one for one in scenes_of(metadata) if file_name(**one) == name)
             entries.append(Entry(scene["subtask"], scene["target"], opened.spec))
         return tuple(entries)
 

@@ -62,11 +62,11 @@ def _histogram(
 
     Values of tainted episodes that are not finite are left out; the title tells their number.
     """
-    told = np.array([value(member) for member in members])
-    finite = np.isfinite(told)
+    forces = np.array([value(member) for member in members])
+    finite = np.isfinite(forces)
     if not finite.all():
         title += f", {int((~finite).sum())} not finite"
-    values = np.log10(np.maximum(told[finite], 1.0))
+    values = np.log10(np.maximum(forces[finite], 1.0))
     good = np.array([member.success_once for member in members])[finite]
     largest = float(values.max(initial=0.0))
     top = max(largest, *(np.log10(line) for line in lines.values()), 1.0) * 1.02

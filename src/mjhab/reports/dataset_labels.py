@@ -78,14 +78,14 @@ def label_order(kind: str) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class LabelColumn:
-    """One column of a table of labels: rates in percent, ``shares`` of labels, too; ``told``: source of each share."""
+    """One column of a table of labels: rates in percent, ``shares`` of labels, too; ``meanings``: sources of shares."""
 
     name: str
     episodes: int
     success_once: float
     success_at_end: float
     shares: Mapping[str, float]
-    told: Mapping[str, str]
+    meanings: Mapping[str, str]
 
     @property
     def interval(self) -> str:
@@ -137,14 +137,14 @@ def _columns(group: Group, members: Sequence[SubtaskRecord]) -> list[LabelColumn
     for policy in POLICIES if not group.way else ():
         row = paper_row(group.task, group.kind, group.split, group.target, policy)
         if row is not None:
-            told = dict.fromkeys(row.labels, f"Table {row.table}")
+            meanings = dict.fromkeys(row.labels, f"Table {row.table}")
             column = LabelColumn(
                 f"paper {policy}",
                 PAPER_EPISODES,
                 row.success_once,
                 row.success_at_end,
                 row.labels,
-                told,
+                meanings,
             )
             columns.append(column)
     return columns

@@ -29,7 +29,7 @@ from mjhab.reports.plots import (
 )
 from mjhab.reports.words import NOT_JUDGED, duration, interval, newtons, percent, spaced
 from mjhab.rollout.films import FILM_EVERY, FILM_FPS
-from mjhab.rollout.records import EpisodeRecord, SubtaskRecord, skip_counts, skips_told
+from mjhab.rollout.records import EpisodeRecord, SubtaskRecord, skip_counts, skips_text
 
 FORCE_EPISODES = 12
 """Number of episodes with a force plot; more would make the file large."""
@@ -105,8 +105,8 @@ def _chips(
 ) -> list[tuple[str, Any]]:
     homes = len({record.home for record in records})
     names = ("split", "assets", "stage", "seed", "worlds")
-    told = ((key, config.get(key)) for key in names)
-    return [("homes", homes), *(chip for chip in told if chip[1] is not None)]
+    chips = ((key, config.get(key)) for key in names)
+    return [("homes", homes), *(chip for chip in chips if chip[1] is not None)]
 
 
 def _banners(records: Sequence[EpisodeRecord], config: Mapping[str, Any]) -> list[str]:
@@ -127,7 +127,7 @@ def _banners(records: Sequence[EpisodeRecord], config: Mapping[str, Any]) -> lis
         )
     skipped = skip_counts(record.skipped_homes for record in records)
     if skipped:
-        found.append(f"Skipped, because they have no room: {skips_told(skipped)}")
+        found.append(f"Skipped, because they have no room: {skips_text(skipped)}")
     return found
 
 

@@ -201,7 +201,7 @@ def skip_counts(skipped: Iterable[Sequence[str]]) -> dict[str, int]:
     return dict(sorted(Counter(home for homes in skipped for home in homes).items()))
 
 
-def skips_told(skipped: Mapping[str, int]) -> str:
+def skips_text(skipped: Mapping[str, int]) -> str:
     """Words for the result of `skip_counts`: "apt_0 in 2 episodes, apt_3 in 1"."""
     homes = [f"{home} in {count}" for home, count in skipped.items()]
     unit = " episode" if next(iter(skipped.values())) == 1 else " episodes"
@@ -258,8 +258,8 @@ def _with_teleport(
 ) -> Mapping[str, Any]:
     """A subtask as it was written. In older files the sentences alone say what was done by teleport."""
     index = _count("index", entry["index"])
-    told = instructions[index] if index < len(instructions) else ""
-    return {"teleported": told.endswith(BY_TELEPORT), **entry}
+    instruction = instructions[index] if index < len(instructions) else ""
+    return {"teleported": instruction.endswith(BY_TELEPORT), **entry}
 
 
 def _peak(value: Any) -> float | None:
@@ -298,8 +298,10 @@ def _number(name: str, value: Any) -> float:
         raise ValueError(f"{name} must be a number that fits 64 bits.") from error
 
 
-def _events(told: Any) -> tuple[Event, ...]:
-    return tuple((_count("step of an event", step), str(name)) for step, name in told)
+def _events(instruction: Any) -> tuple[Event, ...]:
+    return tuple(
+        (_count("step of an event", step), str(name)) for step, name in instruction
+    )
 
 
 def _sentence(text: Any) -> str:

@@ -90,16 +90,16 @@ def _opened(source: PackSource, request: PackRequest) -> Pack:
     """
     if PACK_SOURCES.is_builtin(source.name):
         return source.open(request)
-    told = f"{PACK_SOURCES.told(source.name)} cannot open {request}"
+    what = f"{PACK_SOURCES.described(source.name)} cannot open {request}"
     try:
         pack = source.open(request)
     except MjhabError as error:
-        raise fault(told, str(error)) from error
+        raise fault(what, str(error)) from error
     except Exception as error:
-        raise fault(told, f"its open raised {raised_text(error)}.") from error
+        raise fault(what, f"its open raised {raised_text(error)}.") from error
     if not isinstance(pack, Pack):
         raise fault(
-            told,
+            what,
             f"its open must return a mjhab.scenes.spec.Pack, got {type(pack).__name__}.",
         )
     return pack

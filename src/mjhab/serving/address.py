@@ -71,18 +71,18 @@ class Address:
         Raises:
             UsageError: it is no such address, or see the class.
         """
-        told = without_password(spec)
+        given = without_password(spec)
         try:
             parts = urlsplit(spec)
             port = parts.port
         except ValueError:
             # What Python says may hold a part of a password.
             raise UsageError(
-                f"--policy {told}: host or port cannot be read; write ws://host:port, as in ws://localhost:8000."
+                f"--policy {given}: host or port cannot be read; write ws://host:port, as in ws://localhost:8000."
             ) from None
         if not spec.startswith(SCHEMES) or not parts.hostname or port is None:
             raise UsageError(
-                f"--policy {told}: write ws://host:port, as in ws://localhost:8000."
+                f"--policy {given}: write ws://host:port, as in ws://localhost:8000."
             )
         values: dict[str, object] = {}
         for name, text in parse_qsl(parts.query, keep_blank_values=True):
@@ -92,13 +92,13 @@ class Address:
                 values[name] = _READERS[name](text)
             except ValueError as error:
                 raise UsageError(
-                    f"--policy {told}: {name} cannot be {text!r}."
+                    f"--policy {given}: {name} cannot be {text!r}."
                 ) from error
         uri = urlunsplit((parts.scheme, parts.netloc, parts.path, "", ""))
         return cls(uri, **values)  # type: ignore[arg-type]
 
     @property
-    def told(self) -> str:
+    def shown(self) -> str:
         """``uri`` for messages, without user name and password."""
         return without_password(self.uri)
 

@@ -237,7 +237,7 @@ class Connection:
         Raises:
             UsageError: there is no server, or it is none of websockets.
         """
-        told = self.address.told
+        server = self.address.shown
         token = os.environ.get(TOKEN_VARIABLE)
         headers = {"Authorization": f"Api-Key {token}"} if token else None
         line = self._tcp_connection()
@@ -257,15 +257,15 @@ class Connection:
         except InvalidStatus as error:
             status = error.response.status_code
             kind = _NotNow if status >= 500 else UsageError
-            raise kind(_refusal(told, status)) from error
+            raise kind(_refusal(server, status)) from error
         except TimeoutError as error:
             raise _NotNow(
-                f"{told} takes connections and says nothing for {wait:g} s: the server is busy or stuck, or it is none "
-                "of policies. --first-timeout is how long it is waited for."
+                f"{server} takes connections and says nothing for {wait:g} s: the server is busy or stuck, or it is "
+                "none of policies. --first-timeout is how long it is waited for."
             ) from error
         except (InvalidHandshake, EOFError) as error:
             raise _NotNow(
-                f"{told} is no policy server, it speaks no websocket: {error}."
+                f"{server} is no policy server, it speaks no websocket: {error}."
             ) from error
         except (OSError, WebSocketException) as error:
             raise _NotNow(_absence(self.address, error)) from error
@@ -277,7 +277,7 @@ class Connection:
             line = sockets.create_connection((parts.hostname or "", port), TCP_TIMEOUT_S)
         except TimeoutError as error:
             raise _NotNow(
-                f"{self.address.told} does not answer on the network within {TCP_TIMEOUT_S:g} s; is the host right, "
+                f"{self.address.shown} does not answer on the network within {TCP_TIMEOUT_S:g} s; is the host right, "
                 "and may it be reached from here?"
             ) from error
         except OSError as error:
@@ -294,7 +294,7 @@ class Connection:
             GREETING_TIMEOUT_S,
             self._patience.tell_once,
             [
-                f"mjhab: {address.told} takes connections but has not greeted for {GREETING_TIMEOUT_S:g} s; it is "
+                f"mjhab: {address.shown} takes connections but has not greeted for {GREETING_TIMEOUT_S:g} s; it is "
                 f"waited for up to {wait:g} s, since it may be busy. Servers of vla-eval never greet: they are asked "
                 "by mjhab.integrations.vla_eval."
             ],
@@ -312,26 +312,26 @@ class Connection:
             message = socket.recv(wait)
         except TimeoutError:
             raise _NotNow(
-                f"{address.told} sent nothing within {wait:g} s, and servers of openpi, roboarena and "
+                f"{address.shown} sent nothing within {wait:g} s, and servers of openpi, roboarena and "
                 "behavior greet first; servers of vla-eval are asked by mjhab.integrations.vla_eval."
             ) from None
         except ConnectionClosed as error:
             raise _NotNow(
-                f"{address.told} closed the connection at once: {error}."
+                f"{address.shown} closed the connection at once: {error}."
             ) from error
         if isinstance(message, str):
             raise UsageError(
-                f"{address.told} does not speak {address.dialect}: it says {_said(message)}"
+                f"{address.shown} does not speak {address.dialect}: it says {_said(message)}"
             )
         try:
             metadata = unpack(message)
         except ProtocolError as error:
             raise UsageError(
-                f"{address.told} does not speak {address.dialect}: {error}."
+                f"{address.shown} does not speak {address.dialect}: {error}."
             ) from error
         if not isinstance(metadata, Mapping):
             raise UsageError(
-                f"{address.told} greets with {metadata!r:.80}, not with a map of metadata."
+                f"{address.shown} greets with {metadata!r:.80}, not with a map of metadata."
             )
         other = greeted_in(metadata)
         if other and other != address.dialect:
@@ -342,7 +342,7 @@ class Connection:
 def wrong_dialect(address: Address, spoken: str) -> UsageError:
     """The error for a server that speaks another dialect."""
     return UsageError(
-        f"{address.told} speaks {spoken}, not {address.dialect}; give --dialect {spoken}."
+        f"{address.shown} speaks {spoken}, not {address.dialect}; give --dialect {spoken}."
     )
 
 
@@ -353,7 +353,7 @@ def _was_too_busy(error: ConnectionClosed) -> bool:
 
 def _absence(address: Address, error: Exception) -> str:
     return (
-        f"no policy server at {address.told} ({error}). Start one, as in: mjhab serve expert --port "
+        f"no policy server at {address.shown} ({error}). Start one, as in: mjhab serve expert --port "
         f"{address.port}."
     )
 

@@ -32,7 +32,7 @@ class Patience:
         self._asked = 0
         self._firsts = 0
         self._in_vain = False
-        self._told = False
+        self._announced = False
         self._last_sign = -float("inf")
         self.answers = 0
         """Number of answers so far."""
@@ -73,9 +73,9 @@ class Patience:
     def tell_once(self, text: str) -> None:
         """Tell the user that the server lets one wait, unless that was told before."""
         with self._lock:
-            if self._told:
+            if self._announced:
                 return
-            self._told = True
+            self._announced = True
         say(text)
 
     def for_answer(self, first: bool) -> float:

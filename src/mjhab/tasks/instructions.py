@@ -176,8 +176,8 @@ def subtask_instruction(request: InstructionRequest, draw: Draw = first_wording)
     elif not request.holds:
         if "{goal}" in wording:
             goal = _moved_to(request)
-        told = any(place in wording for place in ("{source}", "{destination}"))
-        if not told and not ("{goal}" in wording and request.stays):
+        names_place = any(place in wording for place in ("{source}", "{destination}"))
+        if not names_place and not ("{goal}" in wording and request.stays):
             thing = destination
     sentence = wording.format(
         object=thing,

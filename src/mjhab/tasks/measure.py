@@ -329,7 +329,7 @@ def _own_measures(
             own = function(state, active, config)
             if getattr(own, "shape", None) != mine.shape or own.dtype != mine.dtype:
                 raise fault(
-                    SUBTASKS.told(SUBTASKS.names()[number]),
+                    SUBTASKS.described(SUBTASKS.names()[number]),
                     f"the measure of {CHECKS[row]!r} must give one bool per world, shape {tuple(mine.shape)}; "
                     f"got {value_text(own)}.",
                 )

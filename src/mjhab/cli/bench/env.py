@@ -33,7 +33,9 @@ def _tables(
         "tainted": "tainted worlds",
     }
     rows = [
-        (told, point[name]) for name, told in names.items() if point.get(name) is not None
+        (label, point[name])
+        for name, label in names.items()
+        if point.get(name) is not None
     ]
     title = f"{spec.id}, {spec.asked.obs_mode}, {point['worlds']} worlds, {backend}"
     steps = point["profiled_steps"]

@@ -139,8 +139,8 @@ def write_report(spec: ReportSpec, json: bool) -> int:
     except OSError as error:
         raise broken(spec.out, error) from error
     size = spec.out.stat().st_size
-    told = f"{spec.out} ({size / 1e6:.1f} MB); it opens without network"
-    report(json, {"report": str(spec.out), "bytes": size}, told)
+    summary = f"{spec.out} ({size / 1e6:.1f} MB); it opens without network"
+    report(json, {"report": str(spec.out), "bytes": size}, summary)
     return 0
 
 
@@ -152,11 +152,11 @@ def merge(spec: MergeSpec, json: bool) -> int:
         "left_out": done.left_out,
         "repeated": done.repeated,
     }
-    told = (
+    summary = (
         f"{done.written} episodes written to {spec.out}; {done.left_out} left out by the filter, {done.repeated} were "
         "there already"
     )
-    report(json, counts, told)
+    report(json, counts, summary)
     return 0
 
 
@@ -278,13 +278,13 @@ def tell_fields(spec: FieldsSpec, json: bool) -> int:
         for name, (meaning, _) in FUNCTIONS.items()
     ]
     presets = [(name, text, meaning) for name, (text, meaning) in PRESETS.items()]
-    told = {
+    summary = {
         "fields": [list(row) for row in names],
         "presets": [list(row) for row in presets],
     }
     report(
         json,
-        told,
+        summary,
         Listing("Names in filters", ("name", "is", "meaning"), names),
         Listing("Presets", ("name", "filter", "meaning"), presets),
     )

@@ -19,10 +19,10 @@ def run_config(parsed: Parsed) -> int:
         UsageError: the specification refuses a value.
     """
     spec = parsed.spec
-    told = {name: _plain(value) for name, value in _fields_of(spec).items()}
+    options = {name: _plain(value) for name, value in _fields_of(spec).items()}
     if isinstance(spec, EnvSpec):
-        told["env"] = _plain(_fields_of(spec.asked))
-    print_json({"command": parsed.command.name, "options": told})
+        options["env"] = _plain(_fields_of(spec.asked))
+    print_json({"command": parsed.command.name, "options": options})
     return 0
 
 

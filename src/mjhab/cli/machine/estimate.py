@@ -49,11 +49,11 @@ def run_estimate(spec: EstimateSpec, json: bool) -> int:
     report(json, {"num_envs": worlds, "obs": obs, "backends": rows}, table)
     known = [memory for memory in found if memory.most is not None]
     if known and not any(memory.most >= worlds for memory in known):  # type: ignore[operator]
-        told = "; ".join(
+        needs = "; ".join(
             f"backend {memory.backend} needs {memory.need.total_mb(worlds):,.0f} MB, "
             f"{memory.free_mb:,.0f} MB are "
             f"free on {memory.place}: at most --worlds {memory.most}"
             for memory in known
         )
-        raise UsageError(f"{worlds} worlds do not fit: {told}.")
+        raise UsageError(f"{worlds} worlds do not fit: {needs}.")
     return 0

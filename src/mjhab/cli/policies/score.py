@@ -36,12 +36,12 @@ def run_score(spec: ScoreSpec, json: bool) -> int:
             return stopped(f"finished episodes are kept in {spec.folder}", again="")
     # One policy may act in many rows.
     cautions = {
-        told.get("policy_caution", "")
-        for told in result.facts.get("policies", {}).values()
+        policy.get("policy_caution", "")
+        for policy in result.facts.get("policies", {}).values()
     }
     for caution in sorted(cautions):
         tell_caution({"policy_caution": caution})
-    report(json, _facts(result), *_told(result, spec.folder))
+    report(json, _facts(result), *_listings(result, spec.folder))
     # An episode that the policy could not finish says nothing of how good it is.
     return 1 if result.summary["errors"] else 0
 
@@ -57,7 +57,7 @@ def _facts(result: ScoreResult) -> dict[str, object]:
     }
 
 
-def _told(result: ScoreResult, out: Path) -> list[Listing | str]:
+def _listings(result: ScoreResult, out: Path) -> list[Listing | str]:
     summary = result.summary
     rows = [
         (
@@ -132,6 +132,6 @@ def run_starts(spec: StartsSpec, json: bool) -> int:
     """Write the missing starts of a track; returns 0."""
     asked = spec.asked
     count = write_starts(spec.track, asked.split, asked.num_envs, asked.threads)
-    told = f"{count} starts of {spec.track}/{asked.split} written"
-    report(json, {"track": spec.track, "split": asked.split, "written": count}, told)
+    policy = f"{count} starts of {spec.track}/{asked.split} written"
+    report(json, {"track": spec.track, "split": asked.split, "written": count}, policy)
     return 0

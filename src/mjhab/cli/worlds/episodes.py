@@ -227,9 +227,9 @@ def _load(spec: EpisodesCheckSpec, file: HabFile) -> FileEpisodes:
 
 def task_of(file: HabFile) -> str:
     """Task of a file: from its first episode, else from the file name, else tidy_house."""
-    told: Any = file.episodes[0].info.get("task")
-    if told in TASKS:
-        return str(told)
+    task: Any = file.episodes[0].info.get("task")
+    if task in TASKS:
+        return str(task)
     return next((task for task in TASKS if task in file.path.name), "tidy_house")
 
 

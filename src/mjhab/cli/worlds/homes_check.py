@@ -42,16 +42,16 @@ def check_homes(spec: HomesCheckSpec, json: bool) -> int:
         layout = Layout(pack, roster_of(pack))
         found = check.check_homes(layout, homes, lambda home: advance())
     found.remarks += unasked_roles(pack, homes)
-    told = {**as_json(found), **stage_of(spec.asked.assets)}
+    result = {**as_json(found), **stage_of(spec.asked.assets)}
     tables = _tables(found)
     if spec.tasks:
-        told["tasks"] = room = find_room(pack, homes)
+        result["tasks"] = room = find_room(pack, homes)
         rows = [
             (home, ", ".join(task for task in why if not why[task]) or "none")
             for home, why in room.items()
         ]
         tables.append(Listing("tasks", ("home", "tasks with room"), rows))
-    report(json, told, *tables)
+    report(json, result, *tables)
     return 1 if found.failed else 0
 
 

@@ -206,7 +206,7 @@ class RunFolder:
         if changes:
             ways = "or --overwrite, or another --out" if cls.OWN else "or another --out"
             raise UsageError(
-                f"cannot resume {path}: it was started with {_told(changes)}. Use the same options, {ways}."
+                f"cannot resume {path}: it was started with {_changes_text(changes)}. Use the same options, {ways}."
             )
 
 
@@ -220,7 +220,7 @@ def _some(names: list[str]) -> str:
     return ", ".join(names[:3]) + more
 
 
-def _told(changes: list[tuple[str, Any, Any]]) -> str:
+def _changes_text(changes: list[tuple[str, Any, Any]]) -> str:
     told = "; ".join(
         f"{name} = {before!r}, now it is {now!r}"
         for name, before, now in changes[:_MOST_SHOWN_CHANGES]

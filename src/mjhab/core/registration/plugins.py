@@ -125,8 +125,10 @@ def failed_plugins() -> str:
     failed = [plugin for plugin in _found if plugin.error]
     if not failed:
         return ""
-    told = "; ".join(f"{plugin.name}: {plugin.error.rstrip(' .')}" for plugin in failed)
-    return f" Plugins that could not be loaded: {told}."
+    problems = "; ".join(
+        f"{plugin.name}: {plugin.error.rstrip(' .')}" for plugin in failed
+    )
+    return f" Plugins that could not be loaded: {problems}."
 
 
 def current_source() -> str:

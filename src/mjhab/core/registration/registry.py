@@ -115,7 +115,7 @@ class Registry(Generic[Item]):
         """Whether an item is one of mjhab itself."""
         return name in self._references
 
-    def told(self, name: str) -> str:
+    def described(self, name: str) -> str:
         """An item in words for messages, with the plugin that registered it: "subtask 'push' of plugin 'push.py'"."""
         source = self._names.get(name, "")
         return (

@@ -47,44 +47,44 @@ def bound_of(owner: type[Any], name: str) -> Bound:
     return mark_of(owner, name, Bound) or Bound()
 
 
-def check_value(owner: type[Any], name: str, value: Any, told: str = "") -> None:
+def check_value(owner: type[Any], name: str, value: Any, label: str = "") -> None:
     """Refuse a value that the marks of a field forbid.
 
     Args:
         owner: the dataclass.
         name: of the field.
         value: of the type of the field.
-        told: how the message names it; "" for ``name``.
+        label: how the message names it; "" for ``name``.
 
     Raises:
         UsageError: a number is out of its bound, or an output cannot be written.
     """
-    told = told or name
-    check_bound(told, value, bound_of(owner, name))
+    label = label or name
+    check_bound(label, value, bound_of(owner, name))
     output = mark_of(owner, name, Output)
     if output is not None and isinstance(value, Path):
-        option = f"--{told.replace('_', '-')}"
+        option = f"--{label.replace('_', '-')}"
         check_output(value, option)
         if output.suffix:
             check_file(value, output.suffix, option)
 
 
-def check_bound(told: str, value: Any, bound: Bound) -> None:
+def check_bound(label: str, value: Any, bound: Bound) -> None:
     """Refuse numbers out of a bound; other values pass.
 
     Raises:
-        UsageError: names the field as ``told``.
+        UsageError: names the field as ``label``.
     """
     if isinstance(value, tuple):
         if not value and not bound.empty:
-            raise wrong_value(told, value, "at least one value")
+            raise wrong_value(label, value, "at least one value")
         for one in value:
-            check_bound(told, one, bound)
+            check_bound(label, one, bound)
         return
     if isinstance(value, bool) or not isinstance(value, int | float):
         return
     # Not (value < least): a NaN is in no bound.
     if not value >= bound.least:
-        raise wrong_value(told, value, f"at least {bound.least:,}")
+        raise wrong_value(label, value, f"at least {bound.least:,}")
     if not value <= bound.most:
-        raise wrong_value(told, value, f"at most {bound.most:,}")
+        raise wrong_value(label, value, f"at most {bound.most:,}")

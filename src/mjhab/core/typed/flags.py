@@ -74,8 +74,8 @@ class OptionsOf:
 
     def flag(self, name: str, own: Flag) -> Flag:
         """The flag of an option, whose field has the flag ``own``."""
-        told = "" if name in self.defaults else own.shown
-        return dataclasses.replace(own, shown=self.shown.get(name, told))
+        shown = "" if name in self.defaults else own.shown
+        return dataclasses.replace(own, shown=self.shown.get(name, shown))
 
 
 Mark = TypeVar("Mark")

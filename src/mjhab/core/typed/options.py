@@ -65,14 +65,14 @@ def take_options(options: Any, apart: Collection[str] = ()) -> None:
             check_value(type(options), option.name, getattr(options, option.name))
 
 
-def taken(owner: type[Any], name: str, value: Any, told: str = "") -> Any:
+def taken(owner: type[Any], name: str, value: Any, label: str = "") -> Any:
     """A value for a field of a dataclass, as the type of the field and within its bound.
 
     Args:
         owner: the dataclass.
         name: of the field.
         value: what the caller gave.
-        told: how messages name it; "" for ``name``.
+        label: how messages name it; "" for ``name``.
 
     Raises:
         UsageError: it is of another type, or the marks of the field forbid it.
@@ -80,8 +80,8 @@ def taken(owner: type[Any], name: str, value: Any, told: str = "") -> Any:
     hint = hints_of(owner)[name]
     if typing.get_origin(hint) is Annotated:
         hint = typing.get_args(hint)[0]
-    value = fitting(told or name, hint, value)
-    check_value(owner, name, value, told)
+    value = fitting(label or name, hint, value)
+    check_value(owner, name, value, label)
     return value
 
 

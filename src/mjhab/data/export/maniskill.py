@@ -129,10 +129,10 @@ def _foreign(folder: Path) -> str:
 def _is_exported(path: Path) -> bool:
     """Whether the JSON file beside an HDF5 file describes it as a trajectory file of mjhab."""
     try:
-        told = read_json_object(path.with_suffix(".json"))
+        metadata = read_json_object(path.with_suffix(".json"))
     except UsageError:
         return False
-    return told.get("source_type") == SOURCE_TYPE
+    return metadata.get("source_type") == SOURCE_TYPE
 
 
 class _File:

@@ -115,17 +115,17 @@ def import_ms_hab(
         raise UsageError(
             f"--out {out} would overwrite {path} with the shard; give another folder."
         )
-    after = begin(len(source.told)) if begin else None
+    after = begin(len(source.trajectories)) if begin else None
     written = frames = present = 0
     run = source.run()
     indices = source.indices()
     try:
         with h5py.File(path, "r") as file, ShardWriter(shard) as writer:
-            for told, index in zip(source.told, indices, strict=True):
-                if writer.has(run, _seed(told), index):
+            for metadata, index in zip(source.trajectories, indices, strict=True):
+                if writer.has(run, _seed(metadata), index):
                     present += 1
                 else:
-                    data = source.episode(file, told, index, run)
+                    data = source.episode(file, metadata, index, run)
                     writer.append(data)
                     written += 1
                     frames += data.record.steps
@@ -140,11 +140,11 @@ def import_ms_hab(
 
 @dataclass(frozen=True)
 class _Source:
-    """A file and its JSON metadata. said: of the whole file. told: of each trajectory."""
+    """A file and its JSON metadata. header: of the whole file. trajectories: of each trajectory."""
 
     path: Path
-    said: Mapping[str, Any]
-    told: Sequence[Mapping[str, Any]]
+    header: Mapping[str, Any]
+    trajectories: Sequence[Mapping[str, Any]]
     task: str
     subtask: str
     split: str
@@ -160,27 +160,29 @@ class _Source:
             )
         text = read_bytes(beside)
         try:
-            said = parse_json(text)
+            header = parse_json(text)
         except ValueError as error:
             raise UsageError(f"{beside} is not valid JSON: {error}") from error
-        if not isinstance(said, Mapping) or not isinstance(said.get("episodes"), list):
+        if not isinstance(header, Mapping) or not isinstance(
+            header.get("episodes"), list
+        ):
             raise UsageError(
                 f"{beside} has no list 'episodes'; give a file as MS-HAB's generator writes it."
             )
-        told = said["episodes"]
+        trajectories = header["episodes"]
         try:
-            check_file(said)
-            for number, each in enumerate(told):
+            check_file(header)
+            for number, each in enumerate(trajectories):
                 check_episode(number, each)
         except ValueError as error:
             raise UsageError(f"{beside}: {error}") from error
         # The list may have another order than the trajectories.
-        told = sorted(told, key=lambda each: each["episode_id"])
-        subtask = _subtask(path, said)
+        trajectories = sorted(trajectories, key=lambda each: each["episode_id"])
+        subtask = _subtask(path, header)
         return cls(
             path,
-            said,
-            told,
+            header,
+            trajectories,
             _task(path, origin),
             subtask,
             origin.split,
@@ -190,7 +192,7 @@ class _Source:
     @property
     def is_ours(self) -> bool:
         """Whether mjhab's exporter wrote the file."""
-        return self.said.get("source_type") == SOURCE_TYPE
+        return self.header.get("source_type") == SOURCE_TYPE
 
     def run(self) -> RunInfo:
         """Description of the run that made the episodes, as far as the file has it."""
@@ -198,7 +200,7 @@ class _Source:
         name = (
             made.get("config", {}).get("policy", {}).get("name") if self.is_ours else None
         )
-        policy = name or f"ms_hab {self.said.get('source_type', '')}".strip().lower()
+        policy = name or f"ms_hab {self.header.get('source_type', '')}".strip().lower()
         place = f"{self.task}/{self.subtask}/{self.path.stem}"
         return RunInfo(
             config={
@@ -207,8 +209,8 @@ class _Source:
                 "imported": {"from": "ms_hab", "file": place, "json": self.digest},
             },
             options={
-                "source_type": self.said.get("source_type"),
-                "source_desc": self.said.get("source_desc"),
+                "source_type": self.header.get("source_type"),
+                "source_desc": self.header.get("source_desc"),
                 "object_axes": self._axes(),
             },
             versions=dict(made.get("versions", {})),
@@ -220,22 +222,26 @@ class _Source:
 
     def _runs(self) -> list[Mapping[str, Any]]:
         """The runs of a file that mjhab exported; empty for a file of MS-HAB."""
-        return list(self.said.get("runs", {}).values()) if self.is_ours else []
+        return list(self.header.get("runs", {}).values()) if self.is_ours else []
 
     def _axes(self) -> str:
         """Axes of the poses of objects in the shard: those that the environment of the episodes observes."""
         if not self.is_ours:
             return SCAN_AXES
-        told = {run.get("options", {}).get("object_axes", "") for run in self._runs()}
-        if len(told) == 1 and told <= {OBJECT_AXES, SCAN_AXES}:
-            return str(told.pop())
-        is_scanned = all(each.get("object_axes") == SCAN_AXES for each in self.told)
+        axes = {run.get("options", {}).get("object_axes", "") for run in self._runs()}
+        if len(axes) == 1 and axes <= {OBJECT_AXES, SCAN_AXES}:
+            return str(axes.pop())
+        is_scanned = all(
+            each.get("object_axes") == SCAN_AXES for each in self.trajectories
+        )
         older = self._env().get("profile") == OLDER_SCANNED
         return SCAN_AXES if older and is_scanned else OBJECT_AXES
 
     def _control_mode(self) -> str:
-        told = (each["control_mode"] for each in self.told if each.get("control_mode"))
-        return str(next(told, CONTROL_MODE))
+        modes = (
+            each["control_mode"] for each in self.trajectories if each.get("control_mode")
+        )
+        return str(next(modes, CONTROL_MODE))
 
     def _env(self) -> dict[str, Any]:
         """Options of the environment of the episodes: those that all runs of an export share, or MS-HAB's own."""
@@ -269,22 +275,24 @@ class _Source:
     def indices(self) -> list[int]:
         """Indices of the episodes: the recorded ones if the file has them and they are unique, else their numbers."""
         indices = [
-            int(each.get("episode_index", each["episode_id"])) for each in self.told
+            int(each.get("episode_index", each["episode_id"]))
+            for each in self.trajectories
         ]
         names = {
-            (_seed(each), index) for each, index in zip(self.told, indices, strict=True)
+            (_seed(each), index)
+            for each, index in zip(self.trajectories, indices, strict=True)
         }
         return (
             indices
             if len(names) == len(indices)
-            else [int(each["episode_id"]) for each in self.told]
+            else [int(each["episode_id"]) for each in self.trajectories]
         )
 
     def episode(
-        self, file: h5py.File, told: Mapping[str, Any], index: int, run: RunInfo
+        self, file: h5py.File, metadata: Mapping[str, Any], index: int, run: RunInfo
     ) -> EpisodeData:
         """One trajectory as an episode."""
-        name = f"{TRAJECTORY}{told['episode_id']}"
+        name = f"{TRAJECTORY}{metadata['episode_id']}"
         if name not in file:
             raise UsageError(
                 f"{self.path} has no {name}, which {self.path.with_suffix('.json').name} lists."
@@ -295,11 +303,11 @@ class _Source:
             raise UsageError(
                 f"{self.path}: {name} has no {', '.join(missing)}; it has {', '.join(trajectory)}."
             )
-        arrays, columns = trajectory_arrays(trajectory, self._turn(told, run))
+        arrays, columns = trajectory_arrays(trajectory, self._turn(metadata, run))
         steps = len(arrays["actions"])
-        if steps != int(told["elapsed_steps"]) or steps < 1:
+        if steps != int(metadata["elapsed_steps"]) or steps < 1:
             raise UsageError(
-                f"{self.path}: {name} has {steps} actions, and the JSON says {told['elapsed_steps']} steps."
+                f"{self.path}: {name} has {steps} actions, and the JSON says {metadata['elapsed_steps']} steps."
             )
         names = run.layout.get("actions")
         if names is not None and arrays["actions"].shape[1] != len(names):
@@ -308,33 +316,35 @@ class _Source:
                 f"{len(names)} ({', '.join(names)}). Give data of the robot {ENV['robot']!r}."
             )
         # What the file says is checked as it is where a shard is read: names become parts of paths.
-        record = EpisodeRecord.from_dict(self._record(told, index, arrays).to_dict())
-        ending = str(told.get("ending") or trajectory_ending(trajectory))
-        actors = tuple(str(actor) for actor in told.get("actors", ()))
+        record = EpisodeRecord.from_dict(self._record(metadata, index, arrays).to_dict())
+        ending = str(metadata.get("ending") or trajectory_ending(trajectory))
+        actors = tuple(str(actor) for actor in metadata.get("actors", ()))
         return EpisodeData(record, run, "", ending, arrays, columns, actors)
 
-    def _turn(self, told: Mapping[str, Any], run: RunInfo) -> float:
+    def _turn(self, metadata: Mapping[str, Any], run: RunInfo) -> float:
         """Yaw [rad] from the axes of the object's pose in the file to those in the shard."""
-        have = str(told.get("object_axes", OBJECT_AXES)) if self.is_ours else SCAN_AXES
+        have = (
+            str(metadata.get("object_axes", OBJECT_AXES)) if self.is_ours else SCAN_AXES
+        )
         want = run.options["object_axes"]
         if have == want:
             return 0.0
-        (shown,) = shown_objects((PlanEntry(self.subtask, self._target(told)),))
+        (shown,) = shown_objects((PlanEntry(self.subtask, self._target(metadata)),))
         yaw = float(run.layout.get(SCAN_YAWS, {}).get(shown, 0.0))
         return yaw if want == SCAN_AXES else -yaw
 
     def _record(
-        self, told: Mapping[str, Any], index: int, arrays: Mapping[str, np.ndarray]
+        self, metadata: Mapping[str, Any], index: int, arrays: Mapping[str, np.ndarray]
     ) -> EpisodeRecord:
         success = arrays["reward/success"].astype(bool)
         steps = len(arrays["actions"])
-        events, force = from_verbose(told["events_verbose"], steps)
-        label = told["label"] or None
+        events, force = from_verbose(metadata["events_verbose"], steps)
+        label = metadata["label"] or None
         peak = round(max(force), 3)
         total = round(ordered_sum(force), 3)
-        target = self._target(told)
+        target = self._target(metadata)
         # MS-HAB's labels follow its published rules, which are mjhab's legacy labels.
-        legacy = told.get("legacy_label", None if self.is_ours else label)
+        legacy = metadata.get("legacy_label", None if self.is_ours else label)
         subtask = SubtaskRecord(
             index=0,
             kind=self.subtask,
@@ -350,11 +360,13 @@ class _Source:
             events=events,
         )
         return EpisodeRecord(
-            seed=_seed(told),
+            seed=_seed(metadata),
             index=index,
-            home=str(told.get("home") or f"build_config_{told.get('build_config_idx')}"),
+            home=str(
+                metadata.get("home") or f"build_config_{metadata.get('build_config_idx')}"
+            ),
             task=self.task,
-            split=str(told.get("split") or self.split),
+            split=str(metadata.get("split") or self.split),
             subtask=self.subtask,
             plan=(PlanEntry(self.subtask, target),),
             subtasks=(subtask,),
@@ -372,10 +384,10 @@ class _Source:
             final_state="",
         )
 
-    def _target(self, told: Mapping[str, Any]) -> str:
-        furniture = str(told.get("articulation_type") or "")
+    def _target(self, metadata: Mapping[str, Any]) -> str:
+        furniture = str(metadata.get("articulation_type") or "")
         return str(
-            told.get("target") or LINKS.get(furniture, furniture) or self.path.stem
+            metadata.get("target") or LINKS.get(furniture, furniture) or self.path.stem
         )
 
 
@@ -412,8 +424,8 @@ def _task(path: Path, origin: Origin) -> str:
     return origin.task or folder
 
 
-def _subtask(path: Path, said: Mapping[str, Any]) -> str:
-    env = str((said.get("env_info") or {}).get("env_id", ""))
+def _subtask(path: Path, header: Mapping[str, Any]) -> str:
+    env = str((header.get("env_info") or {}).get("env_id", ""))
     found = re.match(r"(\w+?)SubtaskTrain", env)
     kind = found[1].lower() if found else path.resolve().parent.name
     if kind not in SUBTASKS:
@@ -425,7 +437,7 @@ def _subtask(path: Path, said: Mapping[str, Any]) -> str:
     return kind
 
 
-def _seed(told: Mapping[str, Any]) -> int:
+def _seed(metadata: Mapping[str, Any]) -> int:
     """The seed of an episode; vectorized environments write one per world, all equal."""
-    seed = told.get("episode_seed", 0)
+    seed = metadata.get("episode_seed", 0)
     return int(np.ravel(seed)[0]) if np.size(seed) else 0

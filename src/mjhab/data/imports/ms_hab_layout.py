@@ -95,22 +95,22 @@ def check_file(said: Mapping[str, Any]) -> None:
         raise ValueError("'env_info' must be an object")
 
 
-def check_episode(number: int, told: Any) -> None:
+def check_episode(number: int, metadata: Any) -> None:
     """Check what a JSON file says of a trajectory.
 
     Raises:
         ValueError: an entry is missing, or has another type than MS-HAB and mjhab write.
     """
-    if not isinstance(told, Mapping):
+    if not isinstance(metadata, Mapping):
         raise ValueError(f"episode {number} is no object")
-    missing = [key for key in EPISODE_KEYS if key not in told]
+    missing = [key for key in EPISODE_KEYS if key not in metadata]
     if missing:
         raise ValueError(
             f"episode {number} has no {', '.join(missing)}. Record with labels (label_episode=True), as "
             "mshab/utils/gen/gen_data.py does."
         )
-    seeds = told.get("episode_seed", 0)
-    numbers = [told[key] for key in _COUNTS if key in told]
+    seeds = metadata.get("episode_seed", 0)
+    numbers = [metadata[key] for key in _COUNTS if key in metadata]
     numbers += seeds if isinstance(seeds, list) else [seeds]
     for value in numbers:
         if (
@@ -122,12 +122,12 @@ def check_episode(number: int, told: Any) -> None:
                 f"episode {number}: {str(value)[:60]!r} is no whole number from 0"
             )
     for key in _TEXTS:
-        if told.get(key) is not None and not isinstance(told[key], str):
+        if metadata.get(key) is not None and not isinstance(metadata[key], str):
             raise ValueError(
-                f"episode {number}: {key} must be a text, not {str(told[key])[:60]!r}"
+                f"episode {number}: {key} must be a text, not {str(metadata[key])[:60]!r}"
             )
     for key in ("events_verbose", "actors"):
-        if not isinstance(told.get(key, []), list):
+        if not isinstance(metadata.get(key, []), list):
             raise ValueError(f"episode {number}: {key} must be a list")
 
 
@@ -147,27 +147,27 @@ def to_verbose(events: Iterable[Event], force: Sequence[float]) -> list[list[Any
     by_step: dict[int, list[str]] = {}
     for step, name in events:
         by_step.setdefault(step, []).append(_THEIRS.get(name, name))
-    told: list[list[Any]] = []
+    verbose: list[list[Any]] = []
     for step in range(1, max((len(force), *by_step)) + 1):
-        told += [[step - 1, name, None] for name in by_step.get(step, ())]
+        verbose += [[step - 1, name, None] for name in by_step.get(step, ())]
         value = force[step - 1] if step <= len(force) else 0.0
         if value <= 0:
             continue
-        if told and told[-1][1] == COLLISION:
-            told[-1][0].append(step - 1)
-            told[-1][2].append(value)
+        if verbose and verbose[-1][1] == COLLISION:
+            verbose[-1][0].append(step - 1)
+            verbose[-1][2].append(value)
         else:
-            told.append([[step - 1], COLLISION, [value]])
-    return told
+            verbose.append([[step - 1], COLLISION, [value]])
+    return verbose
 
 
 def from_verbose(
-    told: Iterable[Sequence[Any]], steps: int
+    verbose: Iterable[Sequence[Any]], steps: int
 ) -> tuple[tuple[Event, ...], tuple[float, ...]]:
     """Events (with steps from 1) and the force [N] in every control step, from an "events_verbose"."""
     events: list[Event] = []
     force = [0.0] * steps
-    for step, name, values in told:
+    for step, name, values in verbose:
         if name != COLLISION:
             events.append((int(step) + 1, _OURS.get(str(name), str(name))))
             continue

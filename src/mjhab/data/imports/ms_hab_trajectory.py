@@ -41,13 +41,13 @@ def trajectory_arrays(
         "obs/state": np.concatenate(list(parts.values()), axis=1),
     }
     # MS-HAB executes the policy's actions without noise, so the intended actions equal the executed ones.
-    told = {
+    recorded = {
         name: _rows(trajectory, name)
         for name in ("actions_intended", "actor")
         if name in trajectory
     }
-    by_policy = {"actions_intended": actions, "actor": np.zeros(steps, np.uint8)} | told
-    arrays |= by_policy
+    arrays |= {"actions_intended": actions, "actor": np.zeros(steps, np.uint8)}
+    arrays |= recorded
     arrays |= _camera_arrays(trajectory)
     return arrays, {
         "obs/state": tuple(f"{key}:{part.shape[1]}" for key, part in parts.items())

@@ -127,10 +127,10 @@ def describe_views(views: Views) -> dict[str, Any]:
     outputs = getattr(views, "outputs", ())
     if not outputs:
         return {}
-    told: dict[str, Any] = {"cameras": views.calibration()}
+    found: dict[str, Any] = {"cameras": views.calibration()}
     if "seg" in outputs or "pointcloud" in outputs:
-        told["segments"] = list(views.segmentation_names)
-    return told
+        found["segments"] = list(views.segmentation_names)
+    return found
 
 
 def versions() -> dict[str, str]:

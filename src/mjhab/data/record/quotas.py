@@ -33,24 +33,24 @@ class Outcome:
 
     def to_dict(self) -> dict[str, Any]:
         """Return JSON data; without skipped homes, if there are none."""
-        told = asdict(self)
+        fields = asdict(self)
         if not self.skipped_homes:
-            del told["skipped_homes"]
-        return told
+            del fields["skipped_homes"]
+        return fields
 
     @classmethod
-    def from_dict(cls, told: Any) -> Outcome:
+    def from_dict(cls, fields: Any) -> Outcome:
         """Read JSON data.
 
         Raises:
             ValueError: it is no outcome.
         """
         types = {"index": int, "target": str, "label": str, "passes": bool}
-        given = {"skipped_homes": [], **told} if isinstance(told, dict) else {}
+        given = {"skipped_homes": [], **fields} if isinstance(fields, dict) else {}
         skipped = given.pop("skipped_homes", None)
         fits = given.keys() == types.keys() and isinstance(skipped, list)
         if not fits or any(type(given[name]) is not kind for name, kind in types.items()):
-            raise ValueError(f"no outcome of an episode: {str(told)[:60]!r}")
+            raise ValueError(f"no outcome of an episode: {str(fields)[:60]!r}")
         return cls(**given, skipped_homes=tuple(str(home) for home in skipped))
 
 

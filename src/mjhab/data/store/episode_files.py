@@ -89,7 +89,7 @@ class EpisodeFiles:
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         self.names = set(self.paths())
-        self._told: set[str] = set()
+        self._known_runs: set[str] = set()
 
     def paths(self) -> dict[str, Path]:
         """The files that are there now, by name of the episode."""
@@ -111,10 +111,10 @@ class EpisodeFiles:
         digest = write_episode(path, data)
         entry = EpisodeEntry(path, data.name, data.record, data.run, digest)
         lines = [_line(entry)]
-        if data.run.id not in self._told:
+        if data.run.id not in self._known_runs:
             lines.insert(0, _run_line(data.run))
         _add(self.folder / INDEX, lines)
-        self._told.add(data.run.id)
+        self._known_runs.add(data.run.id)
         self.names.add(data.name)
         return path.stat().st_size
 
@@ -158,15 +158,15 @@ def _read_table(folder: Path) -> dict[str, EpisodeEntry]:
         with contextlib.suppress(
             ValueError, KeyError, TypeError, AttributeError, OSError
         ):
-            told = from_bytes(line)
-            if "about" in told:
-                runs[told["run"]] = RunInfo.from_dict(told["about"])
+            entry = from_bytes(line)
+            if "about" in entry:
+                runs[entry["run"]] = RunInfo.from_dict(entry["about"])
                 continue
-            path = folder / f"{told['name']}.h5"
-            record = EpisodeRecord.from_dict(told["record"])
-            if told["file"] == _stamp(path) and not record_problems(record):
+            path = folder / f"{entry['name']}.h5"
+            record = EpisodeRecord.from_dict(entry["record"])
+            if entry["file"] == _stamp(path) and not record_problems(record):
                 found[path.name] = EpisodeEntry(
-                    path, path.stem, record, runs[told["run"]], str(told["digest"])
+                    path, path.stem, record, runs[entry["run"]], str(entry["digest"])
                 )
     return found
 
@@ -193,14 +193,14 @@ def _run_line(run: RunInfo) -> bytes:
 
 
 def _line(entry: EpisodeEntry) -> bytes:
-    told = {
+    line = {
         "name": entry.name,
         "file": _stamp(entry.path),
         "digest": entry.digest,
         "run": entry.run.id,
         "record": {**entry.record.to_dict(), "seconds": 0.0},
     }
-    return _encoded(told)
+    return _encoded(line)
 
 
 def _encoded(value: Any) -> bytes:

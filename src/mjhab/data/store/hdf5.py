@@ -202,16 +202,16 @@ def check_format(file: h5py.File, path: Path) -> int:
         DamagedError: it is not a shard, or parts are missing.
         UsageError: the schema version is not supported; the message says how to read the shard.
     """
-    told = read_attributes(file)
-    if told.get("format") != FORMAT:
+    attributes = read_attributes(file)
+    if attributes.get("format") != FORMAT:
         names = ", ".join(list(file)[:4]) or "nothing"
         raise DamagedError(
             f"{path} is an HDF5 file, but holds no episodes of mjhab (it holds {names}). Sets in the layout of "
             "ManiSkill or LeRobot are read with their own tools; mjhab writes them from shards."
         )
-    version = int(told.get("schema", 0))
+    version = int(attributes.get("schema", 0))
     if not OLDEST <= version <= VERSION:
-        maker = str(told.get("mjhab", "?"))
+        maker = str(attributes.get("mjhab", "?"))
         if version > VERSION:
             how = f"Update mjhab to {maker} or later."
         else:

@@ -123,17 +123,17 @@ class RecordedEpisode:
     def attributes(self) -> dict[str, Any]:
         """The attributes of its group, see `schema.ATTRIBUTES`; each has its type."""
         with self.reading():
-            told = read_attributes(self._group)
+            attributes = read_attributes(self._group)
             for name, kind in ATTRIBUTE_TYPES.items():
-                if name in told and not isinstance(told[name], kind):
-                    shown = str(told[name])[:60]
+                if name in attributes and not isinstance(attributes[name], kind):
+                    shown = str(attributes[name])[:60]
                     raise ValueError(
                         f"attribute {name!r} must be {kind.__name__}, not {shown!r}"
                     )
-            missing = [name for name in NEEDED_ATTRIBUTES if name not in told]
+            missing = [name for name in NEEDED_ATTRIBUTES if name not in attributes]
             if missing:
                 raise ValueError(f"it has no attribute {', '.join(missing)}")
-            return told
+            return attributes
 
     @property
     def steps(self) -> int:
@@ -170,14 +170,14 @@ class RecordedEpisode:
         if names is None:
             return (self.run.policy,)
         with self.reading():
-            told = parse_json(names)
-            if not isinstance(told, list) or not all(
-                isinstance(name, str) for name in told
+            actors = parse_json(names)
+            if not isinstance(actors, list) or not all(
+                isinstance(name, str) for name in actors
             ):
                 raise ValueError(
                     f"attribute 'actors' must be a list of texts, not {names[:60]!r}"
                 )
-            return tuple(told)
+            return tuple(actors)
 
     @property
     def nbytes(self) -> int:
@@ -261,11 +261,11 @@ class RecordedEpisode:
         the profile observes now, unless the run does not hold their headings.
         """
         run = self.run
-        told = Conventions.of({**run.config.get("env", {}), **run.options})
+        conventions = Conventions.of({**run.config.get("env", {}), **run.options})
         if self.schema <= OLDER_AXES and is_turned(run.config, run.options):
             axes = OBJECT_AXES if self.scan_yaws is None else SCAN_AXES
-            return dataclasses.replace(told, object_axes=axes)
-        return told
+            return dataclasses.replace(conventions, object_axes=axes)
+        return conventions
 
     @property
     def scan_yaws(self) -> np.ndarray | None:
@@ -282,8 +282,8 @@ class RecordedEpisode:
 
     def _column_names(self, path: str) -> list[str]:
         with self.reading():
-            told = read_attributes(dataset(self._group, path))
-        return [name for name in str(told.get(COLUMNS, "")).split(",") if name]
+            attributes = read_attributes(dataset(self._group, path))
+        return [name for name in str(attributes.get(COLUMNS, "")).split(",") if name]
 
     def table(self, path: str) -> dict[str, np.ndarray]:
         """A two-dimensional dataset by column name, e.g. "signals/checks": (N+1,) each, or (N+1, n) for n columns."""
@@ -433,7 +433,7 @@ class Shard:
             raise
 
     @functools.cached_property
-    def told(self) -> dict[str, dict[str, Any]]:
+    def data_of_runs(self) -> dict[str, dict[str, Any]]:
         """JSON data of each run by name, without those that cannot be read; those of later versions may have more
         entries than a `RunInfo`."""
         runs = group(self.file, RUNS)
@@ -450,9 +450,9 @@ class Shard:
         Raises:
             ValueError: it is missing or cannot be read.
         """
-        if name not in self.told:
+        if name not in self.data_of_runs:
             raise ValueError(f"what made it (its run {name}) is missing or damaged")
-        return self.told[name]
+        return self.data_of_runs[name]
 
     def run(self, name: str) -> RunInfo:
         """A run that made episodes, by its name.
@@ -468,7 +468,7 @@ class Shard:
     def runs(self) -> dict[str, RunInfo]:
         """The runs that made the episodes, by name, without those that are damaged."""
         found: dict[str, RunInfo] = {}
-        for name in self.told:
+        for name in self.data_of_runs:
             with suppress(ValueError):
                 found[name] = self.run(name)
         return found

@@ -101,11 +101,13 @@ def _listed(
     by_meaning: dict[str, list[str]] = {}
     for spec in shown:
         by_meaning.setdefault(about[spec.about], []).append(spec.name.capitalize())
-    told = [f"{', '.join(names)}: {meaning}" for meaning, names in by_meaning.items()]
+    sentences = [
+        f"{', '.join(names)}: {meaning}" for meaning, names in by_meaning.items()
+    ]
     hidden = [spec.name.capitalize() for spec in all_kinds if spec not in shown]
     if hidden:
-        told.append(f"zero in {', '.join(hidden)}")
-    return "; ".join(told)
+        sentences.append(f"zero in {', '.join(hidden)}")
+    return "; ".join(sentences)
 
 
 def joint_rows(robot: Robot) -> tuple[ObsEntry, ...]:

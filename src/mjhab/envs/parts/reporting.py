@@ -49,7 +49,7 @@ class Reporter:
         self._described: list[TaskPlan | None] = [None] * num_worlds
         self._descriptions: list[Mapping[str, Any]] = [{} for _ in range(num_worlds)]
         # The last result of `entries`; most worlds have the same plan and pointer in the next step.
-        self._told: list[TaskPlan | None] = [None] * num_worlds
+        self._reported: list[TaskPlan | None] = [None] * num_worlds
         self._pointer = np.full(num_worlds, -1, np.int64)
         self._specs = np.full(num_worlds, None, object)
         self._sentences = np.full(num_worlds, "", object)
@@ -88,9 +88,9 @@ class Reporter:
             reward that is paid.
         """
         moved = pointer != self._pointer
-        if may_hold(moved) or not all(map(operator.is_, plans, self._told)):
+        if may_hold(moved) or not all(map(operator.is_, plans, self._reported)):
             for world, plan in enumerate(plans):
-                if moved[world] or self._told[world] is not plan:
+                if moved[world] or self._reported[world] is not plan:
                     self._tell(world, episodes[world], plan, int(pointer[world]))
             self._pointer = pointer.copy()
         return {
@@ -106,7 +106,7 @@ class Reporter:
         spec = self.describe(world, episode, plan)
         self._specs[world] = spec
         self._sentences[world] = active_instruction(spec, pointer)
-        self._told[world] = plan if spec is not None else None
+        self._reported[world] = plan if spec is not None else None
 
 
 def describe_episode(

@@ -351,9 +351,9 @@ def number_of_root(
             for furniture, n, valid in evidence
         ):
             return root
-    told = ", ".join(f"{furniture} link {n}" for furniture, n, _ in evidence)
+    numbers = ", ".join(f"{furniture} link {n}" for furniture, n, _ in evidence)
     raise ValueError(
-        f"ao_states: these numbers are not links of the furniture, however the root is counted: {told}."
+        f"ao_states: these numbers are not links of the furniture, however the root is counted: {numbers}."
     )
 
 

@@ -72,9 +72,9 @@ class HomeWords:
             if self._alone(piece)
         }
         # Only what holds or opens something is told.
-        told = {self._thing(r) for r in self.receptacles}
-        told |= {at.template for at in home.articulations}
-        self._phrases = {thing: self._phrase(self._pieces[thing]) for thing in told}
+        things = {self._thing(r) for r in self.receptacles}
+        things |= {at.template for at in home.articulations}
+        self._phrases = {thing: self._phrase(self._pieces[thing]) for thing in things}
         self._spots = self._all_spots()
 
     # -- places ----------------------------------------------------------------------------------------------------

@@ -169,10 +169,10 @@ class _Tale:
         left = self.words.left(place)
         near = self._landmarks_on(spot, {obj, *rivals}) if place is not None else []
         far = self.words.landmarks_besides(place)
-        told = mark(np.array([own, *others]), left, near, far, superlatives=at_times)
-        if told is None and at_times and at_start:
-            told = mark(np.array([own, *at_start]), left, near, far)
-        return told or Mark()
+        found = mark(np.array([own, *others]), left, near, far, superlatives=at_times)
+        if found is None and at_times and at_start:
+            found = mark(np.array([own, *at_start]), left, near, far)
+        return found or Mark()
 
     def _whereabouts(
         self, position: int, obj: str, anytime: bool

@@ -115,7 +115,7 @@ def start_of(kind: int) -> SubtaskStart:
         UsageError: there is no such subtask, or the ``start`` of its spec is not a `SubtaskStart`.
     """
     spec = spec_of(kind)
-    where = f"{SUBTASKS.told(spec.name)}: start"
+    where = f"{SUBTASKS.described(spec.name)}: start"
     with about(where, UsageError):
         start = resolved(spec.start)
     if not isinstance(start, SubtaskStart):

@@ -70,7 +70,7 @@ class SubtaskContext:
             if spec_of(subtask.kind).navigates:
                 return subtask.goal_pos
         raise fault(
-            TASKS.told(self.plan.task),
+            TASKS.described(self.plan.task),
             f"subtask {self.subtask.name!r} begins where the navigate before it led to, but no navigate is "
             f"before position {self.position} of the plan. Put one into the chain of the TargetRule.",
         )

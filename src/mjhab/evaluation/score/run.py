@@ -296,23 +296,25 @@ def _check_row(
         records = rollout(env, policy, sorted(actions), asked.seed, [begun])
     finally:
         env.close()
-    told = {e.record.index: e for e in episodes}
+    recorded = {e.record.index: e for e in episodes}
     for record in records:
         start = begun.starts[record.index]
-        _compare(f"{row.name} {record.index}", told[record.index], record, start, found)
+        _compare(
+            f"{row.name} {record.index}", recorded[record.index], record, start, found
+        )
 
 
 def _compare(
     name: str, scored: ScoredEpisode, seen: EpisodeRecord, start: str, found: Checked
 ) -> None:
     found.episodes += 1
-    told = dataclasses.replace(scored.record, style={})
-    if told == seen and scored.start == start:
+    recorded = dataclasses.replace(scored.record, style={})
+    if recorded == seen and scored.start == start:
         return
-    if _outcome(told) == _outcome(seen):
+    if _outcome(recorded) == _outcome(seen):
         found.inexact.append(name)
     else:
-        found.wrong[name] = f"file: {_outcome(told)}, replay: {_outcome(seen)}"
+        found.wrong[name] = f"file: {_outcome(recorded)}, replay: {_outcome(seen)}"
 
 
 def _outcome(record: EpisodeRecord) -> tuple[Any, ...]:

@@ -36,8 +36,10 @@ class ServerAddress(OpenedPolicy):
         finally:
             connection.close()
         own = own_part(metadata)
-        told = _as_json(metadata)
-        digest = hashlib.sha256(json.dumps(told, sort_keys=True).encode()).hexdigest()
+        metadata_json = _as_json(metadata)
+        digest = hashlib.sha256(
+            json.dumps(metadata_json, sort_keys=True).encode()
+        ).hexdigest()
         identity = {
             "dialect": address.dialect,
             "execute": address.execute,

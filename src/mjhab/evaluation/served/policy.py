@@ -81,7 +81,7 @@ class ServedPolicy:
         if instruction and own.get("reads_instruction") is False:
             self.close()
             raise UsageError(
-                f"the policy {own.get('policy', '')} that {address.told} serves reads no instruction. Leave "
+                f"the policy {own.get('policy', '')} that {address.shown} serves reads no instruction. Leave "
                 "--instruction out, or serve a student that was trained with sentences."
             )
         self._reader = ActionReader(space_of(address, metadata), self._env.action_table)
@@ -189,13 +189,13 @@ class ServedPolicy:
             self._outside.update(found)
         if is_first:
             say(
-                f"mjhab: {self._address.told} sends {self._reader.excess(chunk)}. Values out of range are clipped; how "
-                "many there were is counted."
+                f"mjhab: {self._address.shown} sends {self._reader.excess(chunk)}. Values out of range are clipped; "
+                "how many there were is counted."
             )
 
     def _ask(self, w: int, obs: Any, info: Mapping[str, Any]) -> Ask:
         spec = info["episode_spec"][w]
-        told = (
+        sentence = (
             spec["instruction"]
             if self._address.prompt == "task"
             else info["instruction"][w]
@@ -216,7 +216,7 @@ class ServedPolicy:
             arm=self._arm_positions(q),
             gripper=float(np.clip(1.0 - opened, 0.0, 1.0)),
             tcp=np.asarray(obs[TCP_POSE][w], np.float64),
-            prompt=self._instruction or told,
+            prompt=self._instruction or sentence,
             session=self._worlds[w].session,
             chunk=self._address.execute,
             own=self._own_part(w, obs) if self._needs else None,

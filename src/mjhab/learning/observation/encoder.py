@@ -15,11 +15,11 @@ from mjhab.learning.observation.parts import (
     IMAGE_KEY_PREFIX,
     InputSpec,
     StepSource,
-    SubtaskTold,
+    SubtaskConditioning,
     aims_at_goal,
     code_of,
+    conditioning_parts,
     parts_of,
-    told_parts,
     width_of,
 )
 from mjhab.learning.observation.state import observed_state
@@ -95,7 +95,7 @@ class ObservationEncoder:
         self._pool = pool
         self._instruction = instruction
         self._previous: Array = None
-        self._told: Array = None
+        self._conditioning: Array = None
         self._aims: Array = None
         self._fresh: Array = None
         self._subtasks: list[tuple[Any, int, str] | None] = []
@@ -104,7 +104,7 @@ class ObservationEncoder:
 
     def begin(self, mask: Array) -> None:
         """Episodes begin in the worlds of ``mask`` (W,) bool: no previous action, and a history of what comes next."""
-        if self._told is None:
+        if self._conditioning is None:
             # Nothing has been encoded yet: every world begins.
             return
         xp = namespace(self._previous)
@@ -128,14 +128,14 @@ class ObservationEncoder:
         Returns:
             vector (W, history * V), images (W, history * C, height, width).
         """
-        if self._told is None:
+        if self._conditioning is None:
             self._start(_float32(obs["state"]))
         self._tell(info)
         source = LiveSource(
             self._env,
             obs,
             self._previous,
-            self._told,
+            self._conditioning,
             self._aims,
             self.spec.conventions,
         )
@@ -155,10 +155,12 @@ class ObservationEncoder:
     def _start(self, like: Array) -> None:
         """Make the arrays, of the library and device of the observations."""
         worlds = self._env.num_envs
-        told = sum(width_of(part, self.spec) for part in told_parts(self.spec.inputs))
+        width = sum(
+            width_of(part, self.spec) for part in conditioning_parts(self.spec.inputs)
+        )
         if self._previous is None:
             self._previous = zeros((worlds, len(self.spec.actions)), like)
-        self._told = zeros((worlds, told), like)
+        self._conditioning = zeros((worlds, width), like)
         self._aims = zeros((worlds, 1), like) > 0
         self._fresh = ~self._aims[:, 0]
         self._subtasks = [None] * worlds
@@ -180,7 +182,7 @@ class ObservationEncoder:
     def _tell(self, info: Mapping[str, Any]) -> None:
         """Code the active subtask of the worlds in which it is another one than in the last step."""
         inputs = self.spec.inputs
-        if not (told_parts(inputs) or inputs.target_in_hand):
+        if not (conditioning_parts(inputs) or inputs.target_in_hand):
             return
         episodes = info.get("episode_spec")
         if episodes is None:
@@ -191,7 +193,7 @@ class ObservationEncoder:
         for world, episode in enumerate(episodes):
             if episode is None:
                 self._subtasks[world] = None
-                self._told[world] = 0.0
+                self._conditioning[world] = 0.0
             else:
                 last = len(episode["plan"]) - 1
                 pointer = min(int(info["pointer"][world]), last)
@@ -210,10 +212,12 @@ class ObservationEncoder:
             return
         self._subtasks[world] = (episode, pointer, sentence)
         entry = episode["plan"][pointer]
-        told = SubtaskTold(entry["kind"], kind_of(entry["target"]), sentence)
-        self._told[world] = as_like(code_of(told, self.spec), self._told)
+        subtask = SubtaskConditioning(entry["kind"], kind_of(entry["target"]), sentence)
+        self._conditioning[world] = as_like(
+            code_of(subtask, self.spec), self._conditioning
+        )
         if self.spec.inputs.target_in_hand:
-            self._aims[world] = aims_at_goal(told.kind)
+            self._aims[world] = aims_at_goal(subtask.kind)
 
     def _sentence(
         self,
@@ -233,14 +237,14 @@ class ObservationEncoder:
 class LiveSource:
     """`StepSource` of the worlds of an environment in one control step.
 
-    obs: observations of the step. previous (W, A), told_codes (W, T), aims (W, 1): see `StepSource`. conventions: of
-    the state.
+    obs: observations of the step. previous (W, A), conditioning_codes (W, T), aims (W, 1): see `StepSource`.
+    conventions: of the state.
     """
 
     env: EncodedEnv
     obs: Mapping[str, Any]
     previous: Array
-    told_codes: Array
+    conditioning_codes: Array
     aims: Array
     conventions: Conventions
 
@@ -258,8 +262,8 @@ class LiveSource:
     def previous_action(self) -> Array:
         return self.previous
 
-    def told(self) -> Array:
-        return self.told_codes
+    def conditioning(self) -> Array:
+        return self.conditioning_codes
 
     def aims_at_goal(self) -> Array:
         return self.aims

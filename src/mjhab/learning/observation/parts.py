@@ -39,7 +39,7 @@ CLOSE_M = 0.02
 
 
 @dataclass(frozen=True)
-class SubtaskTold:
+class SubtaskConditioning:
     """What a policy can be told about a subtask. target: type of its target. sentence: its instruction."""
 
     kind: str
@@ -88,7 +88,7 @@ class StepSource(Protocol):
         """Action executed in the previous control step (N, A) float32 in [-1, 1]; zero in the first one."""
         ...
 
-    def told(self) -> Array:
+    def conditioning(self) -> Array:
         """Codes (N, T) float32 of the active subtasks, see `code_of`."""
         ...
 
@@ -123,22 +123,22 @@ class VectorPart(ABC):
         """The part of every row, (N, width) float32."""
 
 
-class ToldPart(VectorPart):
+class ConditioningPart(VectorPart):
     """A part that depends on the active subtask alone: it is coded once per subtask, not in every control step."""
 
     normalized = False
 
     @abstractmethod
-    def code(self, told: SubtaskTold, spec: InputSpec) -> np.ndarray:
+    def code(self, subtask: SubtaskConditioning, spec: InputSpec) -> np.ndarray:
         """The part for a subtask, (width,) float32."""
 
     def encode(self, source: StepSource, spec: InputSpec) -> Array:
         start = 0
-        for part in told_parts(spec.inputs):
+        for part in conditioning_parts(spec.inputs):
             if part is self:
                 break
             start += width_of(part, spec)
-        return source.told()[:, start : start + width_of(self, spec)]
+        return source.conditioning()[:, start : start + width_of(self, spec)]
 
 
 class State(VectorPart):
@@ -234,7 +234,7 @@ class TargetInHand(VectorPart):
         return xp.astype(xp.concat(scales, axis=1), xp.float32)
 
 
-class Condition(ToldPart):
+class Condition(ConditioningPart):
     """One-hot of the kind of the active subtask and of the type of its target."""
 
     name = "condition"
@@ -246,23 +246,23 @@ class Condition(ToldPart):
             *((f"target/{name}", 1) for name in spec.targets),
         )
 
-    def code(self, told: SubtaskTold, spec: InputSpec) -> np.ndarray:
+    def code(self, subtask: SubtaskConditioning, spec: InputSpec) -> np.ndarray:
         """Code a subtask.
 
         Raises:
             UsageError: the policy was not trained on this kind or target.
         """
-        if told.kind not in spec.kinds:
-            raise unknown_name("subtask of this student", told.kind, spec.kinds)
-        if told.target not in spec.targets:
-            raise unknown_name("target of this student", told.target, spec.targets)
+        if subtask.kind not in spec.kinds:
+            raise unknown_name("subtask of this student", subtask.kind, spec.kinds)
+        if subtask.target not in spec.targets:
+            raise unknown_name("target of this student", subtask.target, spec.targets)
         one_hot = np.zeros(len(spec.kinds) + len(spec.targets), np.float32)
-        one_hot[list(spec.kinds).index(told.kind)] = 1.0
-        one_hot[len(spec.kinds) + list(spec.targets).index(told.target)] = 1.0
+        one_hot[list(spec.kinds).index(subtask.kind)] = 1.0
+        one_hot[len(spec.kinds) + list(spec.targets).index(subtask.target)] = 1.0
         return one_hot
 
 
-class Sentence(ToldPart):
+class Sentence(ConditioningPart):
     """The instruction of the active subtask as a bag of hashed words."""
 
     name = "sentence"
@@ -271,8 +271,8 @@ class Sentence(ToldPart):
     def entries(self, spec: InputSpec) -> Sequence[Entry]:
         return (("sentence", SENTENCE_WIDTH),)
 
-    def code(self, told: SubtaskTold, spec: InputSpec) -> np.ndarray:
-        return encode_sentence(told.sentence)
+    def code(self, subtask: SubtaskConditioning, spec: InputSpec) -> np.ndarray:
+        return encode_sentence(subtask.sentence)
 
 
 class DepthImages:
@@ -310,9 +310,9 @@ def parts_of(inputs: InputConfig) -> tuple[VectorPart, ...]:
     return tuple(part for part in VECTOR_PARTS if part.used(inputs))
 
 
-def told_parts(inputs: InputConfig) -> tuple[ToldPart, ...]:
+def conditioning_parts(inputs: InputConfig) -> tuple[ConditioningPart, ...]:
     """Those that depend on the active subtask alone."""
-    return tuple(part for part in parts_of(inputs) if isinstance(part, ToldPart))
+    return tuple(part for part in parts_of(inputs) if isinstance(part, ConditioningPart))
 
 
 def width_of(part: VectorPart, spec: InputSpec) -> int:
@@ -320,13 +320,13 @@ def width_of(part: VectorPart, spec: InputSpec) -> int:
     return sum(width for _, width in part.entries(spec))
 
 
-def code_of(told: SubtaskTold, spec: InputSpec) -> np.ndarray:
-    """What a policy is told about a subtask, (T,) float32: the parts of `told_parts`, in order.
+def code_of(subtask: SubtaskConditioning, spec: InputSpec) -> np.ndarray:
+    """What a policy is told about a subtask, (T,) float32: the parts of `conditioning_parts`, in order.
 
     Raises:
         UsageError: the policy was not trained on this subtask or target.
     """
-    codes = [part.code(told, spec) for part in told_parts(spec.inputs)]
+    codes = [part.code(subtask, spec) for part in conditioning_parts(spec.inputs)]
     return np.concatenate([np.zeros(0, np.float32), *codes])
 
 

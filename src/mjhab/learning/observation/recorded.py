@@ -15,7 +15,7 @@ from mjhab.learning.observation.encoder import EncodedObs, encode
 from mjhab.learning.observation.parts import (
     DEPTH_IMAGES,
     InputSpec,
-    SubtaskTold,
+    SubtaskConditioning,
     aims_at_goal,
     code_of,
 )
@@ -81,7 +81,7 @@ class RecordedSource:
         before = np.concatenate([np.zeros_like(executed[:1]), executed[:-1]])
         return before[: self._steps]
 
-    def told(self) -> np.ndarray:
+    def conditioning(self) -> np.ndarray:
         """Codes of the active subtasks.
 
         Raises:
@@ -90,7 +90,10 @@ class RecordedSource:
         """
         sentences = instructions_of(self._episode, self._spec)
         codes = [
-            code_of(SubtaskTold(entry.kind, kind_of(entry.target), sentence), self._spec)
+            code_of(
+                SubtaskConditioning(entry.kind, kind_of(entry.target), sentence),
+                self._spec,
+            )
             for entry, sentence in zip(self._episode.record.plan, sentences, strict=True)
         ]
         return np.stack(codes)[self._pointers()]
@@ -159,13 +162,13 @@ def instructions_of(episode: RecordedEpisode, spec: InputSpec) -> Sequence[str]:
     plan = episode.record.plan
     if not spec.inputs.sentence:
         return [""] * len(plan)
-    told = episode.record.instructions
-    if len(told) != len(plan) or not all(told):
+    sentences = episode.record.instructions
+    if len(sentences) != len(plan) or not all(sentences):
         raise UsageError(
             f"episode {episode.name} of {episode.shard.path} was recorded without instructions, which a student with "
             "inputs.sentence=true learns from; leave out this input, or record new episodes: mjhab generate"
         )
-    return [without_teleport_mark(sentence) for sentence in told]
+    return [without_teleport_mark(sentence) for sentence in sentences]
 
 
 def _no_images(
@@ -174,20 +177,20 @@ def _no_images(
     """Make the error for images that are missing (``have`` None) or of another size (height, width) [px]."""
     size = spec.inputs.image_size
     cameras = " ".join(spec.inputs.cameras)
-    told = f"episode {episode.name} of {episode.shard.path} {found}; the preset needs {size}x{size} px. "
+    refusal = f"episode {episode.name} of {episode.shard.path} {found}; the preset needs {size}x{size} px. "
     if not lacks_states(episode):
         return UsageError(
-            f"{told}Render them from the recorded states: mjhab replay {episode.shard.path} --render depth "
+            f"{refusal}Render them from the recorded states: mjhab replay {episode.shard.path} --render depth "
             f"--camera-size {size} --cameras {cameras} --out FILE.h5"
         )
-    told += "It was imported from data without states, so its images cannot be rendered again; "
+    refusal += "It was imported from data without states, so its images cannot be rendered again; "
     if have and have[0] == have[1]:
         return UsageError(
-            f"{told}train with images of its size: --set inputs.image_size={have[0]}"
+            f"{refusal}train with images of its size: --set inputs.image_size={have[0]}"
         )
     with_depth = sorted(
         {camera for camera, output in episode.images if output == "depth"}
     )
     return UsageError(
-        f"{told}train with the cameras it has depth of ({', '.join(with_depth) or 'none'}): --set inputs.cameras=..."
+        f"{refusal}train with the cameras it has depth of ({', '.join(with_depth) or 'none'}): --set inputs.cameras=..."
     )

@@ -14,8 +14,8 @@ from mjhab.learning.configs import InputConfig
 from mjhab.learning.observation.parts import (
     DEPTH_IMAGES,
     Entry,
+    conditioning_parts,
     parts_of,
-    told_parts,
     width_of,
 )
 from mjhab.robots.registry import DEFAULT_ROBOT, robot_named
@@ -111,7 +111,7 @@ class ObservationSpec:
         """Of the observations that it was trained with."""
         return Conventions(self.object_axes, self.joint_angles)
 
-    def told_in(self, conventions: Conventions) -> ObservationSpec:
+    def in_conventions(self, conventions: Conventions) -> ObservationSpec:
         """The same layout with observations of other conventions."""
         return replace(self, **asdict(conventions))
 
@@ -144,12 +144,12 @@ class ObservationSpec:
     @property
     def measured_width(self) -> int:
         """Width of the first sections of the vector, which are normalized; those that are told follow."""
-        return self.width - self.told_width
+        return self.width - self.conditioning_width
 
     @property
-    def told_width(self) -> int:
+    def conditioning_width(self) -> int:
         """Width of what the student is told about the active subtask, see `parts.code_of`."""
-        return sum(width_of(part, self) for part in told_parts(self.inputs))
+        return sum(width_of(part, self) for part in conditioning_parts(self.inputs))
 
     @property
     def image_keys(self) -> tuple[str, ...]:
@@ -277,7 +277,7 @@ def observation_spec_of(
         profile,
         SUBTASKS.names(),
         env.config.robot,
-    ).told_in(Conventions.of(vars(env.config)))
+    ).in_conventions(Conventions.of(vars(env.config)))
 
 
 def state_of(env: StudentEnv) -> tuple[Entry, ...]:
@@ -314,13 +314,14 @@ def profile_of(options: Mapping[str, Any]) -> str:
     of older versions have others, which `observation.state` converts. Options that are younger than the data
     (`NEWER_OPTIONS`) do not count where the data do not tell them: a profile is more than these.
     """
-    told = {**asdict(Conventions.of(options)), **options}
+    options_in_force = {**asdict(Conventions.of(options)), **options}
     for profile in PROFILES.values():
         values = profile.options(str(options.get("subtask", "")), trains=False)
         apart = {*FREE, "object_axes", *(NEWER_OPTIONS - options.keys())}
         values = {name: value for name, value in values.items() if name not in apart}
         if profile.binding and all(
-            _plain(told.get(name)) == _plain(value) for name, value in values.items()
+            _plain(options_in_force.get(name)) == _plain(value)
+            for name, value in values.items()
         ):
             return profile.name
     return str(options.get("profile", DEFAULT_PROFILE))

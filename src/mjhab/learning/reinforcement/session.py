@@ -158,7 +158,7 @@ class ReinforcementSession(Session):
         layout = observation_spec_of(self.env, self.config.inputs, targets)
         if self.saved is not None:
             # An older version began the run with other conventions, perhaps; its weights keep them.
-            layout = layout.told_in(self.saved.layout.conventions)
+            layout = layout.in_conventions(self.saved.layout.conventions)
         # Training episodes may be of another stillness, by which the environment's profile is not recognised.
         return dataclasses.replace(
             layout, profile=self.spec.scene.profile or layout.profile
@@ -247,14 +247,14 @@ class ReinforcementSession(Session):
 
     def report(self, numbers: dict[str, float]) -> None:
         """Log the metrics of an update together with the recent rewards and successes."""
-        told = {
+        metrics = {
             "reward": ordered_sum(self._rewards) / max(len(self._rewards), 1),
             **numbers,
         }
-        told |= {f"holds/{name}": share for name, share in self.worlds.held().items()}
+        metrics |= {f"holds/{name}": share for name, share in self.worlds.held().items()}
         if self._outcomes:
-            told["training_success"] = sum(self._outcomes) / len(self._outcomes)
-        self.log.report(self.state.updates, self.state.samples, told)
+            metrics["training_success"] = sum(self._outcomes) / len(self._outcomes)
+        self.log.report(self.state.updates, self.state.samples, metrics)
 
     def due(self, every: int, before: int) -> bool:
         """Whether the number of samples has passed a multiple of ``every`` since it was ``before``."""

@@ -153,8 +153,8 @@ class Rates:
     """
 
     def __init__(self, work: Mapping[str, Any]) -> None:
-        told = [dict(work), processor(), cores(), __version__]
-        text = json.dumps(told, sort_keys=True, default=str)
+        parts = [dict(work), processor(), cores(), __version__]
+        text = json.dumps(parts, sort_keys=True, default=str)
         self._key = hashlib.sha256(text.encode()).hexdigest()[:16]
 
     @property

@@ -130,11 +130,11 @@ class Collector:
             True,
             images,
         )
-        told = {
+        collected = {
             **asdict(wanted),
             "student": wanted.student.name if wanted.student else "",
         }
-        config = {"scene": asdict(self._scene), "seed": self._seed, "round": told}
+        config = {"scene": asdict(self._scene), "seed": self._seed, "round": collected}
         job = Job(
             spec, config, out, wanted.episodes, self._means.workers, self._means.worlds
         )

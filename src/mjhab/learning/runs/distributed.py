@@ -69,7 +69,7 @@ def gathered(values: Tensor) -> Tensor:
     return torch.cat(parts)
 
 
-def told_by_first(judged: bool) -> bool:
+def decided_by_first(judged: bool) -> bool:
     """Return the first process's value of ``judged`` in every process."""
     if processes() == 1:
         return judged

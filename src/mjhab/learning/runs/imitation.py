@@ -58,7 +58,7 @@ class ImitationSession(Session):
         self.sources: list[Demonstrations] = []
         if self.saved is not None:
             # An older version began the run with other conventions, perhaps; its weights keep them.
-            layout = layout.told_in(self.saved.layout.conventions)
+            layout = layout.in_conventions(self.saved.layout.conventions)
         self.device = training_device(spec.device)
         student = make_student(self.config, layout, spec.seed).to(self.device)
         self.trainer = Trainer(student, spec.seed, spec.config.updates)

@@ -54,10 +54,10 @@ def render_training_report(
 
 def loss_curve(rows: Sequence[Mapping[str, Any]]) -> Figure:
     """The loss over the samples."""
-    told = [row for row in rows if "loss" in row]
+    losses = [row for row in rows if "loss" in row]
     trace = {
-        "x": [row["samples"] for row in told],
-        "y": [row["loss"] for row in told],
+        "x": [row["samples"] for row in losses],
+        "y": [row["loss"] for row in losses],
         "type": "scatter",
         "mode": "lines",
         "line": {"color": LINE, "width": 2},

@@ -51,7 +51,7 @@ class TimeBudget:
 
     def is_spent(self) -> bool:
         """Whether the rest of the budget is needed for the evaluations to come."""
-        return bool(self._seconds) and distributed.told_by_first(self.room < 0.0)
+        return bool(self._seconds) and distributed.decided_by_first(self.room < 0.0)
 
     def estimate_evaluation(self, seconds: float) -> None:
         """Take the time that an episode of the expert needs [s] for that of an evaluation, until one is measured."""
@@ -117,5 +117,5 @@ class TimeBudget:
                 )
             except BudgetTooSmallError as error:
                 short = str(error)
-        if distributed.told_by_first(bool(short)):
+        if distributed.decided_by_first(bool(short)):
             raise BudgetTooSmallError(short)

@@ -93,9 +93,9 @@ def _page(track: Track, models: DrawnHome, replay: Replay, pictures: int) -> byt
     header = _header(track, models, block)
     header["pose"] = _poses(track, models, replay, block)
     header["pictures"] = _pictures(track, replay, pictures, block)
-    told = json.dumps(header, separators=(",", ":"), allow_nan=False).encode()
+    head = json.dumps(header, separators=(",", ":"), allow_nan=False).encode()
     packed = zlib.compress(
-        len(told).to_bytes(4, "little") + _padded(told) + block.bytes(), 9
+        len(head).to_bytes(4, "little") + _padded(head) + block.bytes(), 9
     )
     page = render_page(
         "viewer/export/page.html", title=track.title, data=base64_text(packed)
@@ -143,7 +143,7 @@ def _header(track: Track, models: DrawnHome, block: _Block) -> dict[str, Any]:
         "reward": [m.reward for m in moments],
         "active": [m.active for m in moments],
     }
-    told = {
+    head = {
         name: block.add(np.array(values, np.float32)) for name, values in series.items()
     }
     actors = actor_colors(track)
@@ -172,7 +172,7 @@ def _header(track: Track, models: DrawnHome, block: _Block) -> dict[str, Any]:
         ],
         "actors": [{"name": name, "color": color} for name, color in actors.items()],
         "actor": block.add(np.array([places[m.actor] for m in moments[1:]], np.uint8)),
-        "series": told,
+        "series": head,
         "terms": terms,
         "term": block.add(
             np.array(

@@ -106,7 +106,7 @@ class Viewer:
         self._shown: Track | None = None
         self._shown_home = ""
         self._shown_layout: Layout | None = None
-        self._told_hand = ""
+        self._sent_hand = ""
         self._base = np.zeros(3)
         self._closing = False
         self._thread = threading.Thread(target=self._run, name="frames", daemon=True)
@@ -257,10 +257,10 @@ class Viewer:
 
     def _tell_hand(self, driving: bool) -> None:
         """Tell `hand.js` in all pages whether to send input, and which keys."""
-        told = json.dumps({"hand": driving, "keys": [*KEYS, GRIPPER_KEY]})
-        if told != self._told_hand:
-            self._told_hand = told
-            self._gateway.tell(told)
+        message = json.dumps({"hand": driving, "keys": [*KEYS, GRIPPER_KEY]})
+        if message != self._sent_hand:
+            self._sent_hand = message
+            self._gateway.tell(message)
 
 
 class _HeldStart:

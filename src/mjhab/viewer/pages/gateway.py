@@ -68,7 +68,7 @@ class Gateway:
         self._on_hand = on_hand
         self._on_hand_gone = on_hand_gone
         self._hands: set[ServerConnection] = set()
-        self._told = "{}"
+        self._hand_state = "{}"
         self._problem: Exception | None = None
         self._ready = threading.Event()
         self._loop = asyncio.new_event_loop()
@@ -81,7 +81,7 @@ class Gateway:
 
     def tell(self, message: str) -> None:
         """Send a message to `hand.js` of every page, and of pages that are opened later."""
-        self._told = message
+        self._hand_state = message
         self._loop.call_soon_threadsafe(self._tell)
 
     def close(self) -> None:
@@ -92,7 +92,7 @@ class Gateway:
 
     def _tell(self) -> None:
         for hand in self._hands:
-            self._loop.create_task(_send(hand, self._told))
+            self._loop.create_task(_send(hand, self._hand_state))
 
     def _run(self) -> None:
         asyncio.set_event_loop(self._loop)
@@ -168,7 +168,7 @@ class Gateway:
     async def _listen_to_hand(self, connection: ServerConnection) -> None:
         self._hands.add(connection)
         try:
-            await connection.send(self._told)
+            await connection.send(self._hand_state)
             async for message in connection:
                 if isinstance(message, str) and len(message) <= MAX_HAND_MESSAGE_BYTES:
                     self._on_hand(message)

@@ -334,8 +334,8 @@ def _checks_html(checks: np.ndarray) -> str:
 def _events_html(track: Track, step: int) -> str:
     """HTML of the last six events up to a state, the newest first."""
     newest = track.events_until(step)[-6:][::-1]
-    told = " · ".join(
+    shown = " · ".join(
         f"{escape(name.replace('_', ' '))} {at * STEP_SECONDS:.2f} s"
         for at, name in newest
     )
-    return f'<div style="font-size:12px;padding:0 8px;min-height:1.5em">{told}</div>'
+    return f'<div style="font-size:12px;padding:0 8px;min-height:1.5em">{shown}</div>'

@@ -40,9 +40,9 @@ def timeline_svg(track: Track, now: float) -> str:
     for step, name in track.events:
         color = TONE_COLORS[event_tone(name)]
         x = step * scale
-        told = f"{name.replace('_', ' ')}, step {step} ({step * STEP_SECONDS:.2f} s)"
+        title = f"{name.replace('_', ' ')}, step {step} ({step * STEP_SECONDS:.2f} s)"
         parts.append(
-            f'<path d="M{x:.1f} {EVENT_HEIGHT} l-4 -10 h8 z" fill="{color}"><title>{escape(told)}</title></path>'
+            f'<path d="M{x:.1f} {EVENT_HEIGHT} l-4 -10 h8 z" fill="{color}"><title>{escape(title)}</title></path>'
         )
     x = now * scale
     parts.append(
@@ -69,11 +69,11 @@ def _subtasks(track: Track, scale: float) -> list[str]:
         color = kind_color(track.plan[index].kind)
         name = track.describe(index)
         width = max((end - start + 1) * scale, 1.0)
-        told = f"{name}: {track.ended.get(index, 'running').replace('_', ' ')}"
+        title = f"{name}: {track.ended.get(index, 'running').replace('_', ' ')}"
         x = start * scale
         parts.append(
             f'<rect x="{x:.1f}" y="{EVENT_HEIGHT}" width="{width:.1f}" height="{BAR_HEIGHT}" rx="3" fill="{color}">'
-            f"<title>{escape(told)}</title></rect>"
+            f"<title>{escape(title)}</title></rect>"
         )
         if width > MIN_NAMED_SHARE * WIDTH:
             y = EVENT_HEIGHT + 15
@@ -169,8 +169,8 @@ def gauge_html(name: str, value: float, limit: float, unit: str) -> str:
 def terms_html(terms: Mapping[str, float], total: float) -> str:
     """Write the reward of a step and its terms, as bars to the right (positive) and left (negative) of zero."""
     if not terms:
-        told = f"reward {total:.3f}; no terms in this state"
-        return f'<p style="font-size:12px;margin:2px 0">{told}</p>'
+        text = f"reward {total:.3f}; no terms in this state"
+        return f'<p style="font-size:12px;margin:2px 0">{text}</p>'
     most = max(1e-9, *(abs(value) for value in terms.values()))
     rows = [f'<p style="font-size:12px;margin:2px 0">reward <b>{total:.3f}</b></p>']
     for name, value in terms.items():

@@ -121,10 +121,10 @@ def read_input(message: str) -> HandInput:
     Raises:
         ValueError: it is not such a message.
     """
-    told = parse_json(message)
-    if not isinstance(told, dict):
-        raise ValueError(f"a message of the hand is an object, got {type(told).__name__}")
-    keys, axes, buttons = (told.get(name, []) for name in ("keys", "axes", "buttons"))
+    sent = parse_json(message)
+    if not isinstance(sent, dict):
+        raise ValueError(f"a message of the hand is an object, got {type(sent).__name__}")
+    keys, axes, buttons = (sent.get(name, []) for name in ("keys", "axes", "buttons"))
     if not all(isinstance(part, list) for part in (keys, axes, buttons)):
         raise ValueError("keys, axes and buttons of the hand are lists")
     sums: dict[str, float] = {name: 0.0 for name in MOTIONS}

@@ -313,7 +313,7 @@ class LiveSession:
         except _Interrupt:
             return
         except Exception as error:
-            self.tell_problem(_told(error))
+            self.tell_problem(_message_of(error))
             self._failed = True
             self.pace.play(False)
 
@@ -402,7 +402,7 @@ class LiveSession:
             try:
                 job(self)
             except Exception as error:
-                self.problem = _told(error)
+                self.problem = _message_of(error)
         if self._closing or self._asked is not None:
             raise _Interrupt
 
@@ -456,7 +456,7 @@ class _Follower(Sink[SequentialTaskEnv]):
         self._session.pace.wait(self._session._between)
 
 
-def _told(error: Exception) -> str:
+def _message_of(error: Exception) -> str:
     """Message about an error for the page: its text, with type, function and line if it is not one of ours."""
     if isinstance(error, MjhabError):
         return str(error)

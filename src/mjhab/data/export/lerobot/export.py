@@ -217,9 +217,9 @@ class _Export:
         }
         row |= {"source": episode.name, "home": record.home, "label": last_label(record)}
         row["lacks"] = ",".join(episode.lacks)
-        told = episode.conventions
-        row["object_axes"] = told.object_axes
-        row["joint_angles"] = told.joint_angles
+        conventions = episode.conventions
+        row["object_axes"] = conventions.object_axes
+        row["joint_angles"] = conventions.joint_angles
         row["navigation"] = "teleport" if navigates_by_teleport(episode) else "drive"
         made = ExportedEpisode(
             row,

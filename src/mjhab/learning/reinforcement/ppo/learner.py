@@ -220,7 +220,7 @@ class PpoLearner:
         random = self._random("shuffle")
         count = len(rollout.actions)
         size = count // config.minibatches
-        told: list[tuple[float, float, float]] = []
+        measured: list[tuple[float, float, float]] = []
         stopped = False
         for _ in range(config.epochs):
             acting, valuing = self.optimizer.param_groups
@@ -232,12 +232,12 @@ class PpoLearner:
                 if row is None:
                     stopped = True
                     break
-                told.append(row)
+                measured.append(row)
             if stopped:
                 break
             # The test comes after a whole epoch, so that all processes stop after the same minibatch.
             divergence = torch.tensor(
-                ordered_sum(row[2] for row in told[-config.minibatches :])
+                ordered_sum(row[2] for row in measured[-config.minibatches :])
             )
             divergence /= config.minibatches
             distributed.average([divergence])
@@ -245,7 +245,7 @@ class PpoLearner:
             if config.target_kl and float(divergence) > config.target_kl:
                 break
         self.updates += 1
-        means = torch.tensor(told).mean(dim=0).tolist()
+        means = torch.tensor(measured).mean(dim=0).tolist()
         return dict(zip(("policy_loss", "value_loss", "kl"), means, strict=True)) | {
             "action_std": float(rollout.stds.mean()),
             "learning_rate": self.learning_rate,

@@ -81,12 +81,12 @@ class SacLearner:
             BrokenLossError: a loss or a gradient is not finite.
         """
         random = self.random("update")
-        told = {"critic_loss": self._judge(batch, random)}
+        measured = {"critic_loss": self._judge(batch, random)}
         if self.updates % self.config.policy_delay == 0:
-            told |= self._act(batch, demonstrated, imitation, frozen, random)
+            measured |= self._act(batch, demonstrated, imitation, frozen, random)
             self._follow()
         self.updates += 1
-        return told
+        return measured
 
     def _judge(self, batch: Transitions, random: torch.Generator) -> float:
         agent = self.agent
@@ -145,12 +145,12 @@ class SacLearner:
             wanted = batch.actions[:demonstrated].clamp(-LARGEST_ACTION, LARGEST_ACTION)
             loss = loss + imitation * ((torch.tanh(mean) - wanted) ** 2).mean()
         self._step("actor", loss, self.acting)
-        told = {"actor_loss": float(loss.detach())}
+        measured = {"actor_loss": float(loss.detach())}
         if not frozen:
             surplus = (density.detach() + agent.target_entropy).mean()
             self._step("alpha", -alpha * surplus, [agent.log_alpha])
-            told["alpha"] = float(alpha.detach())
-        return told
+            measured["alpha"] = float(alpha.detach())
+        return measured
 
     def _step(self, name: str, loss: Tensor, parameters: list[nn.Parameter]) -> None:
         update = self.updates + 1

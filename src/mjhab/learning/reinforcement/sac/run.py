@@ -169,12 +169,12 @@ class SacRun(AlgorithmRun):
         batch = self.learner.batch(self.online, self.shown)
         demonstrated = round(sac.demonstration_share * sac.batch) if self.shown else 0
         frozen = since < sac.frozen_actor_samples
-        told = self.learner.update(
+        measured = self.learner.update(
             batch, demonstrated, sac.imitation_coefficient * share, frozen
         )
         state.updates = self.learner.updates
         state.trained = True
-        return told
+        return measured
 
     def _fit_normalizers(self) -> None:
         """Fit the normalizers once, before the first update; the buffer stores unnormalized observations."""

@@ -237,7 +237,7 @@ def test_shards_of_older_versions_are_read_in_the_axes_of_their_profile(
     told = read_episode(old, layout, -1).vector
     np.testing.assert_array_equal(told, old.array("obs/state")[:-1])
     # A run that an older version began keeps its axes.
-    kept = layout.told_in(Conventions())
+    kept = layout.in_conventions(Conventions())
     ours = old.contents()[0]["obs/state"]
     np.testing.assert_allclose(read_episode(old, kept, -1).vector, ours[:-1], atol=1e-6)
     # Without the headings nothing can be turned: the shard is read as it is, and says so.

@@ -191,7 +191,7 @@ def test_the_presets_use_every_part_but_those_that_a_recording_lacks() -> None:
     assert {part.name for part in VECTOR_PARTS} - used == {"link_state"}
 
 
-def test_told_parts_follow_the_normalized_ones() -> None:
+def test_conditioning_parts_follow_the_normalized_ones() -> None:
     """`Normalizer.fit` measures the first columns only."""
     flags = [part.normalized for part in VECTOR_PARTS]
     assert flags == sorted(flags, reverse=True)

@@ -136,7 +136,7 @@ def test_the_sentence_follows_the_measured_inputs() -> None:
         condition_of(alone, "wipe", "table", "pick up the bowl"), code
     )
     for one in (both, alone, layout()):
-        assert one.width == one.measured_width + one.told_width
+        assert one.width == one.measured_width + one.conditioning_width
         assert one.measured_width == layout().measured_width
 
 

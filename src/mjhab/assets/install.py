@@ -55,7 +55,7 @@ def fetch(source: Source, root: Path, overwrite: bool = False) -> Path:
     with _work_folder(source, root, overwrite) as content:
         repository = list_files(source.repo, source.revision)
         places = _places(source, repository)
-        origin = {
+        provenance = {
             "origin": source.repo,
             "revision": source.revision,
             "commit": repository.commit,
@@ -66,11 +66,11 @@ def fetch(source: Source, root: Path, overwrite: bool = False) -> Path:
         _refuse_without_room(staging, sum(repository.files[path].size for path in places))
         download(repository, places, staging)
         if source.archive:
-            origin["archive_sha256"] = _sha256(staging / source.archive)
+            provenance["archive_sha256"] = _sha256(staging / source.archive)
             unpack(staging / source.archive, content)
         else:
             _move({staging / path: to for path, to in places.items()}, content)
-        _install(source, content, root, origin)
+        _install(source, content, root, provenance)
         for left in (root / PARTIAL).glob(f"{source.name}-*"):
             shutil.rmtree(left, ignore_errors=True)
     return root / source.name
@@ -185,7 +185,9 @@ def _work_folder(source: Source, root: Path, overwrite: bool) -> Iterator[Path]:
             shutil.rmtree(content, ignore_errors=True)
 
 
-def _install(source: Source, content: Path, root: Path, origin: dict[str, str]) -> None:
+def _install(
+    source: Source, content: Path, root: Path, provenance: dict[str, str]
+) -> None:
     """Record the files of a data set found in ``content`` and move it to its place.
 
     Raises:
@@ -195,9 +197,9 @@ def _install(source: Source, content: Path, root: Path, origin: dict[str, str]) 
     if found is None:
         needed = ", ".join(source.expects)
         raise UsageError(
-            f"{origin['origin']} is not the data set {source.name}: it must hold {needed}."
+            f"{provenance['origin']} is not the data set {source.name}: it must hold {needed}."
         )
-    _write_record(found, origin)
+    _write_record(found, provenance)
     _swap(found, root / source.name, root / PARTIAL / f"{source.name}-old")
 
 
@@ -249,7 +251,7 @@ def _swap(new: Path, target: Path, old: Path) -> None:
     shutil.rmtree(old, ignore_errors=True)
 
 
-def _write_record(folder: Path, origin: dict[str, str]) -> dict[str, dict[str, Any]]:
+def _write_record(folder: Path, provenance: dict[str, str]) -> dict[str, dict[str, Any]]:
     """Write the record of a folder; returns size and SHA-256 of its files by path."""
     paths = (path for path in sorted(folder.rglob("*")) if path.is_file())
     files = {
@@ -260,7 +262,7 @@ def _write_record(folder: Path, origin: dict[str, str]) -> dict[str, dict[str, A
         for path in paths
         if path.name != RECORD
     }
-    body = json.dumps({"format": FORMAT, **origin, "files": files}, indent=1)
+    body = json.dumps({"format": FORMAT, **provenance, "files": files}, indent=1)
     write_atomic(
         folder / RECORD, lambda temporary: temporary.write_text(body, encoding="utf-8")
     )

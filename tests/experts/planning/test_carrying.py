@@ -22,7 +22,6 @@ from mjhab.experts.arm.held import CORNER_RADIUS_M, held_spheres, holds
 from mjhab.experts.base.follower import BaseTrajectory, PathSegment
 from mjhab.experts.base.limits import FIRM, UNLIMITED, CommandLimits
 from mjhab.experts.base.route import (
-    MIN_MAP_CLEARANCE_M,
     Route,
     RouteWish,
     _swept,
@@ -169,7 +168,7 @@ def test_a_drive_with_something_in_the_hand_that_grazes_furniture_is_tight(
         return found.clearance
 
     assert clearance(0.4, FIRM) >= 0.0 and clearance(0.2, UNLIMITED) >= 0.0
-    assert clearance(0.2, FIRM) == pytest.approx(0.2 - MIN_MAP_CLEARANCE_M)
+    assert clearance(0.2, FIRM) == pytest.approx(0.2 - ROBOT.footprint.narrow)
 
 
 def test_nothing_of_the_trunk_counts_on_the_way_of_an_arm():

@@ -11,7 +11,7 @@ from mjhab.core.errors import UsageError
 from mjhab.core.rotations import wrap
 from mjhab.envs.sequential import SequentialTaskEnv
 from mjhab.experts import make_expert
-from mjhab.experts.base.floorplan import BASE_CLEARANCE_M, SLICES_M, Arm, Floorplan
+from mjhab.experts.base.floorplan import SLICES_M, Arm, Floorplan
 from mjhab.experts.base.follower import PathSegment, simulate
 from mjhab.experts.base.lattice import YAWS, Lattice
 from mjhab.experts.base.limits import DRIVE_FREE
@@ -21,6 +21,7 @@ from mjhab.tasks.plan import Subtask
 CELL = 0.05
 REACH = 0.6
 THICK = 0.05
+NEEDED = 0.29
 FRIDGE = "fridge/top_door"
 Map = np.ndarray
 
@@ -33,10 +34,11 @@ def floorplan(taken: Map) -> Floorplan:
     return Floorplan(
         np.zeros(2),
         CELL,
-        gap - BASE_CLEARANCE_M,
+        gap - NEEDED,
         np.repeat(gap[None], len(SLICES_M), axis=0),
         walls,
         arm,
+        NEEDED,
     )
 
 

@@ -23,9 +23,6 @@ from mjhab.experts.arm.held import held_spheres
 from mjhab.experts.base.ajar import planner
 from mjhab.experts.base.navigation import Grid
 
-BASE_CLEARANCE_M = 0.29
-"""Distance between the base's centre and obstacles that the base needs; its greatest radius is 0.285 m. It is
-`Footprint.wide` of the default robot."""
 ARM_CLEARANCE_M = 0.02
 """Clearance that the arm needs: it swings a little, and cells are coarse."""
 SLICES_M = np.arange(0.7, 1.75, 0.1)
@@ -34,11 +31,8 @@ EMPTY_DISTANCE_M = 100.0
 """Distance to the nearest obstacle that is reported where a slice of height is empty. Larger than any home."""
 AT_REST_RAD = 0.05
 """Largest distance of a joint from the rest position at which the arm counts as at rest."""
-FALLEN_HEIGHT_M = 0.4
-"""Objects below this height with half sizes below `FALLEN_SIZE_M` are obstacles of the base. It is the height of the
-base (`Footprint.top`)."""
 FALLEN_SIZE_M = 0.15
-"""See `FALLEN_HEIGHT_M`."""
+"""Objects that lie below the top of the base, with half sizes below this, are obstacles of the base."""
 _STEP = 0.1
 """Height of a slice."""
 
@@ -78,7 +72,7 @@ class Arm:
         low = np.floor((center[:, 2] - radius - SLICES_M[0]) / _STEP).astype(np.int64)
         high = np.floor((center[:, 2] + radius - SLICES_M[0]) / _STEP).astype(np.int64)
         out = (
-            (np.linalg.norm(center[:, :2], axis=1) + radius > BASE_CLEARANCE_M)
+            (np.linalg.norm(center[:, :2], axis=1) + radius > view.robot.footprint.wide)
             & (high >= 0)
             & (low < len(SLICES_M))
         )
@@ -93,10 +87,11 @@ class Floorplan:
     Attributes:
         origin: (2,) world position of the corner of cell (0, 0).
         cell: edge length of a cell.
-        base: (X, Y) clearance at the cells' centres beyond `BASE_CLEARANCE_M`.
+        base: (X, Y) clearance at the cells' centres beyond ``needed``.
         free: (L, X, Y) distance to the nearest obstacle in each slice of height.
         sight: (L, X, Y) bool, cells of walls and furniture, which occlude the goal.
         arm: spheres of the arm.
+        needed: distance between the base's centre and obstacles that the base needs (`Footprint.wide`).
     """
 
     origin: np.ndarray
@@ -105,6 +100,7 @@ class Floorplan:
     free: np.ndarray
     sight: np.ndarray
     arm: Arm
+    needed: float
 
     @classmethod
     def of(
@@ -133,7 +129,7 @@ class Floorplan:
         # Objects that an episode does not use are parked below the floor.
         low = objects.take(
             (height > -0.1)
-            & (height < FALLEN_HEIGHT_M)
+            & (height < view.robot.footprint.top)
             & (objects.half.max(axis=1) < FALLEN_SIZE_M)
         )
         felt = (
@@ -150,7 +146,8 @@ class Floorplan:
             base = np.minimum(base, np.maximum(gap.min(axis=-1), 0.0))
             solid |= (gap[..., len(fallen) :] < 0.0).any(axis=-1)
         free = np.stack([_distance(level, cells.cell) for level in solid])
-        return cls(cells.origin, cells.cell, base - BASE_CLEARANCE_M, free, sight, arm)
+        needed = view.robot.footprint.wide
+        return cls(cells.origin, cells.cell, base - needed, free, sight, arm, needed)
 
     def slimmer(self, base: float, arm: float) -> Floorplan:
         """The floor plan for smaller safety margins: ``base`` and ``arm`` [m] are subtracted from their clearances."""
@@ -162,7 +159,7 @@ class Floorplan:
     def clearance(self, poses: np.ndarray) -> np.ndarray:
         """Clearance (N,) of base and arm beyond what they need at base poses (N, 3); negative: too close."""
         poses = np.atleast_2d(poses)
-        found = self._at(self.base, poses[:, :2], -BASE_CLEARANCE_M)
+        found = self._at(self.base, poses[:, :2], -self.needed)
         cos = np.cos(poses[:, 2, None])
         sin = np.sin(poses[:, 2, None])
         x = poses[:, 0, None] + cos * self.arm.offset[:, 0] - sin * self.arm.offset[:, 1]

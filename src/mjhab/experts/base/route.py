@@ -33,8 +33,6 @@ SELF_CLEARANCE_M = 0.015
 DRIVE_ERROR_M = 0.03
 """Additional clearance while the base drives, because it deviates from the planned route. Routes are driven within 20
 mm and 0.08 rad of the prediction (tests/experts/planning/test_carrying.py)."""
-MIN_MAP_CLEARANCE_M = 0.27
-"""Least clearance of the map cells that a route may use. It is `Footprint.narrow` of the default robot."""
 LOW_HEIGHT_M = 0.3
 """Obstacles below this height can touch the base only; the map already keeps the base clear of them."""
 BLOCKED_FORCE_N = 60.0
@@ -149,7 +147,8 @@ def plan_route(
     own = _own_clearance(start, arm, robot)
     if wish.limits != UNLIMITED and not wish.straight:
         cells = planner(view).clearance_at(poses[:, :2])
-        own = min(own, float(cells.min() - min(MIN_MAP_CLEARANCE_M, cells[0], cells[-1])))
+        least = view.robot.footprint.narrow
+        own = min(own, float(cells.min() - min(least, cells[0], cells[-1])))
 
     def at(share: float) -> Route:
         delay = round(share * len(poses))
@@ -364,7 +363,7 @@ def _smoothest(
         drive = BaseTrajectory.of(view.base, [segment], lookahead, limits)
         clearance = float(cells.clearance_at(drive.poses[:, :2]).min())
         found.append((clearance, drive))
-        if clearance >= MIN_MAP_CLEARANCE_M:
+        if clearance >= view.robot.footprint.narrow:
             break
     return max(found, key=lambda one: one[0])[1]
 

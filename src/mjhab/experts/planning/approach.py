@@ -30,15 +30,12 @@ ALONG_BAR_M = 0.04
 """Largest distance along the bar between the planned and the actual grasp."""
 RETRACT_CLEARANCE_M = 0.005
 """Least clearance of a route on which the arm moves to its rest pose."""
-RETREAT_CLEARANCE_M = 0.29
-"""Least clearance of the base on the floor when it drives backwards. It is `Footprint.wide` of the default robot."""
 ROUTES_TRIED = 5
 """Number of base placements for which a route is planned."""
 MAX_ROUTES_TRIED = 12
 """The same while no route without a collision has been found."""
-ARM_REACH_M = 1.3
-"""Distance from the base beyond which the arm cannot touch anything. The tcp of the default robot's stretched arm is
-1.08 m from the middle of the base (`Robot.reach`)."""
+TOUCH_SPARE_M = 0.221
+"""Distance beyond the reach of the tcp from which on the arm cannot touch anything: fingers, hand and clearance."""
 MAX_ROUTE_DEFICIT_M = 0.012
 """Maximum clearance deficit along a route: `plan_route` allows for errors of the drive."""
 AMBIGUOUS_TURN_RAD = 2.8
@@ -64,8 +61,10 @@ def obstacles(
     places = np.concatenate([view.base[None, :2], goals[:, :2]])
     heights = np.array([0.3, 1.0, 1.6])
     points = np.array([[*place, z] for place in places for z in heights])
+    reach = view.robot.reach
+    touches = reach.ahead + reach.out + reach.length + reach.hand + TOUCH_SPARE_M
     return boxes.take(
-        np.flatnonzero(sphere_box_distance(points, boxes).min(axis=0) < ARM_REACH_M)
+        np.flatnonzero(sphere_box_distance(points, boxes).min(axis=0) < touches)
     )
 
 
@@ -227,7 +226,7 @@ def retract(
         goal = q[BASE] - distance * motion.ahead_3d(q[BASE_YAW])
         # What blocks a short drive backwards blocks a longer one.
         if distance > 0 and floor.line_clearance(q[BASE_XY], goal[None, :2])[0] < min(
-            RETREAT_CLEARANCE_M, float(floor.clearance_at(q[BASE_XY]))
+            view.robot.footprint.wide, float(floor.clearance_at(q[BASE_XY]))
         ):
             break
         found = plan_route(

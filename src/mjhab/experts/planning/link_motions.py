@@ -36,8 +36,6 @@ BOX_CLEARANCE_M = 0.02
 """Least distance of arm and trunk to obstacles; the hand is not checked."""
 MAX_JUMP_RAD = 0.7
 """Largest change of a joint between two way points."""
-MIN_BASE_CLEARANCE_M = 0.285
-"""Clearance that the base must have at a motion. It is the radius of the base (`Footprint.radius`)."""
 COMFORT_CLEARANCE_M = 0.36
 """Clearance that the base should have there."""
 SEEDS_FOLLOWED = 3
@@ -354,5 +352,5 @@ def rank(
         + 300.0 * np.maximum(COMFORT_CLEARANCE_M - clearance, 0.0)
     )
     order = np.argsort(cost, kind="stable")
-    order = order[clearance[order] >= MIN_BASE_CLEARANCE_M]
+    order = order[clearance[order] >= view.robot.footprint.radius]
     return frame.base(placements.q[order]), cost[order]

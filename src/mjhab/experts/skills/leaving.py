@@ -28,9 +28,9 @@ SWING_STEPS = 14
 BACK_SPEED_M_S = 0.7
 """Speed of the fingers on their way past the handle. With 0.5, 0.6 and 0.7 m/s 35, 34 and 38 of 40 doors opened that
 are let go of at 0.93 rad (`builtin_m3_20`), where the bar comes after the hand."""
-PAST_BAR_M = 0.1
-"""Distance from the middle of a handle to the tcp at which the fingers are past it. The fingertips are 0.031 m before
-the tcp, the corners of the widest bar (ReplicaCAD's fridge, 0.050 x 0.071 m) 0.043 m from its middle."""
+PAST_BAR_M = 0.07
+"""Distance from the middle of a handle to the fingertips at which they are past it. The corners of the widest bar
+(ReplicaCAD's fridge, 0.050 x 0.071 m) are 0.043 m from its middle."""
 
 
 def swings(view: WorldView, link: JointedLink) -> bool:
@@ -79,10 +79,11 @@ def swing_on(view: WorldView, link: JointedLink) -> Motion:
     dofs = ik.columns(view.robot.chain)
     along = float(-rot[:2, 0] @ motion.ahead(view.base[2]))
     drive = (BACK_SPEED_M_S * min(along, 0.0), 0.0)
+    past = view.robot.gripper.finger[0] + PAST_BAR_M
     for step in range(SWING_STEPS):
         now = view.link_q(link.id)
         bar = link.handle_pose(now)[0]
-        if float((bar - motion.tcp(view)[0])[:2] @ rot[:2, 0]) > PAST_BAR_M:
+        if float((bar - motion.tcp(view)[0])[:2] @ rot[:2, 0]) > past:
             return True
         swing = max(view.link_speed(link.id), 0.0) * STEP_SECONDS
         back = BACK_SPEED_M_S * STEP_SECONDS * (step + 1)

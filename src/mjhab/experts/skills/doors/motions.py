@@ -38,10 +38,8 @@ HALF_OPEN_SHARE = 0.95
 """Share of the range below which a door counts as half open: the hand's path begins there, see `push_half_open`."""
 OPEN_TO_SHARE = 0.775
 """Share of the range to which a door is pulled; 0.75 counts as open."""
-TIP_M = 0.031
-"""Distance of the fingertips before the tcp. Geometry of the default robot's gripper."""
-FINGER_SIDE_M = 0.0144
-"""Half-width of the closed fingers. Geometry of the default robot's gripper."""
+TOUCH_M = 0.001
+"""Distance of the fingertips from a door that they push."""
 PUSH_YAWS_RAD = ((0.25, 0.4), (0.5, 0.4), (0.8, 0.4), (1.1, 0.4))
 """Pairs of yaws of the pushing hand, at the open and at the closed door; 0 points straight at the furniture. The first
 pair is for half open doors only: behind a door that is open by 2.2 rad, a hand at yaw 0.6 is parallel to it, and at
@@ -242,16 +240,16 @@ def _push_motions(robot: Robot, link: JointedLink, half: bool) -> LinkMotions:
     )
     handle = link.handle
     face = panel(link)[1][0]
+    tip = robot.gripper.finger[0] + TOUCH_M
+    # The closed fingers lie side by side.
+    side = robot.gripper.thickness
     inward = _inward(link)
     found = []
     for first, last in PUSH_YAWS_RAD if half else PUSH_YAWS_RAD[1:]:
         yaw = first + (last - first) * share
         lag = angles - yaw
         gap = (
-            face
-            + TIP_M * np.abs(np.cos(lag))
-            + FINGER_SIDE_M * np.abs(np.sin(lag))
-            - handle.pos[0]
+            face + tip * np.abs(np.cos(lag)) + side * np.abs(np.sin(lag)) - handle.pos[0]
         )
         pos = []
         for angle, more in zip(angles, gap, strict=True):

@@ -11,6 +11,10 @@ from mjhab.layout.layout import Layout
 from mjhab.scenes.packs import open_pack
 from mjhab.sim.mujoco.cpu import CpuSimulator
 from tests.sim.warp.start import ROSTER, WORLDS
+from tests.warp_device import TEST_DEVICE, read_on_host
+
+if TEST_DEVICE != "cpu":
+    read_on_host()
 
 
 @pytest.fixture(scope="session")
@@ -35,5 +39,5 @@ def cpu(layout: Layout) -> CpuSimulator:
 
 @pytest.fixture(scope="session")
 def shared(warp: ModuleType, layout: Layout) -> Any:
-    """The GPU simulator on Warp's CPU device."""
-    return warp.WarpSimulator(layout, WORLDS, "cpu")
+    """The GPU simulator on the device of the tests."""
+    return warp.WarpSimulator(layout, WORLDS, TEST_DEVICE)

@@ -28,12 +28,13 @@ from mjhab.tasks.subtasks.registry import SUBTASKS, event_columns, limits_of
 from tests.missing import need_warp
 from tests.no_sync import NoSync
 from tests.refusals import refused
+from tests.warp_device import TEST_DEVICE
 
 need_warp()
 
 WORLDS = 2
 HORIZON = 12
-DEVICE: dict[str, Any] = {"backend": "warp", "device": "cpu", "starts": 4}
+DEVICE: dict[str, Any] = {"backend": "warp", "device": TEST_DEVICE, "starts": 4}
 PICTURES: dict[str, Any] = {"obs_mode": "depth", "camera_size": 8}
 KINDS = [
     ("tidy_house", "pick"),
@@ -164,7 +165,7 @@ def compare(ours: dict[str, torch.Tensor], theirs: dict[str, np.ndarray]) -> Non
 
 def test_a_full_turn_and_the_other_quaternion_are_the_same_state(env: Any) -> None:
     obs, _ = env.reset(seed=0)
-    flip = torch.tensor([1.0, 1, 1, -1, -1, -1, -1], dtype=env.state.object_pose.dtype)
+    flip = env.state.object_pose.new_tensor([1.0, 1, 1, -1, -1, -1, -1])
     turn = torch.zeros_like(env.state.robot_q)
     turn[:, 2] = 2 * np.pi
     state = dataclasses.replace(
@@ -247,7 +248,7 @@ def test_a_chain_teleports_to_where_it_does_on_the_cpu() -> None:
         np.testing.assert_allclose(ours.numpy(), reward, atol=0.02)
     # Picks succeed when somebody says so: then the robot leaps to the goal, its hands empty.
     assert (info["kind"] == int(SubtaskKind.PICK)).all()
-    everyone = torch.ones(WORLDS, dtype=torch.bool)
+    everyone = torch.ones(WORLDS, dtype=torch.bool, device=dev.device)
     dev.progress = dataclasses.replace(dev.progress, pointer=dev.progress.pointer + 1)
     dev._renew(~everyone, everyone, dev.start_row)
     for w in range(WORLDS):
@@ -353,6 +354,21 @@ def test_a_reset_leaves_every_bit_of_the_other_worlds(env: Any) -> None:
         np.testing.assert_array_equal(env.sim.qpos[1], env.pool.qpos[3])
 
 
+def test_a_seed_draws_the_next_starts_of_the_pool(env: Any) -> None:
+    pool = env.pool
+    begun = []
+    for seed in (1, 2, 1):
+        env.draw_starts(seed)
+        env.reset()
+        first = env.start_row
+        env.reset()
+        np.testing.assert_array_equal(env.start_row, (first + WORLDS) % pool.count)
+        begun.append(first.tolist())
+    assert begun[0] == begun[2] != begun[1] and env.pool is pool
+    env.reset(seed=pool.seed)
+    assert env.start_row.tolist() == [0, 1]
+
+
 def test_disabled_autoreset_leaves_finished_worlds(env: Any) -> None:
     with autoreset(env, "disabled"):
         *_, truncated, info = idle(env, 3)
@@ -421,13 +437,13 @@ def row_bit() -> int:
     return int(mujoco_warp.OverflowType.NEFC)
 
 
-@pytest.mark.parametrize("device", ["cpu", *cuda_devices()])
+@pytest.mark.parametrize("device", sorted({TEST_DEVICE, "cpu", *cuda_devices()}))
 def test_a_step_never_waits_for_the_device(
     env: Any, device: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     import warp as wp
 
-    if device != "cpu":
+    if device != TEST_DEVICE:
         options = DEVICE | PICTURES | {"device": device}
         env = make(
             task="tidy_house", subtask="pick", num_envs=WORLDS, horizon=3, **options

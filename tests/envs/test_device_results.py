@@ -12,11 +12,12 @@ import torch
 from mjhab.core.errors import UsageError
 from mjhab.envs import make
 from tests.missing import need_warp
+from tests.warp_device import TEST_DEVICE
 
 need_warp()
 
 WORLDS = 2
-DEVICE: dict[str, Any] = {"backend": "warp", "device": "cpu", "starts": 4}
+DEVICE: dict[str, Any] = {"backend": "warp", "device": TEST_DEVICE, "starts": 4}
 PICTURES: dict[str, Any] = {"obs_mode": "depth", "camera_size": 8}
 
 
@@ -45,7 +46,8 @@ def test_pictures_after_a_reset_are_those_of_the_new_episode(env: Any) -> None:
         idle(env)
     # World 1 shall go on when world 0 ends.
     env.progress = dataclasses.replace(
-        env.progress, steps_left=env.progress.steps_left + torch.tensor([0, 5])
+        env.progress,
+        steps_left=env.progress.steps_left + torch.tensor([0, 5], device=env.device),
     )
     obs, _, _, truncated, info = idle(env)
     assert truncated.tolist() == [True, False] and info["_final_obs"].tolist() == [
@@ -74,7 +76,7 @@ def test_a_teleport_changes_the_pictures() -> None:
     dev = make(task="tidy_house", num_envs=1, **PICTURES, **(DEVICE | {"starts": 1}))
     obs, _ = dev.reset()
     # A Pick that succeeds when somebody says so is followed by a leap.
-    everyone = torch.ones(1, dtype=torch.bool)
+    everyone = torch.ones(1, dtype=torch.bool, device=dev.device)
     dev.progress = dataclasses.replace(
         dev.progress, pointer=torch.full_like(dev.progress.pointer, 2)
     )
@@ -135,7 +137,8 @@ def test_a_device_that_is_full_is_told(
 
     env.reset()
     told = pytest.raises(
-        UsageError, match=r"2 worlds do not fit into the memory of cpu; try 1 .*num_envs"
+        UsageError,
+        match=rf"2 worlds do not fit into the memory of {TEST_DEVICE}; try 1 .*num_envs",
     )
     if work == "pool":
         monkeypatch.setattr(module, "StartPool", full)

@@ -9,6 +9,7 @@ from types import ModuleType
 
 import numpy as np
 import pytest
+from torch import Tensor
 
 from mjhab.core.errors import UsageError
 from mjhab.layout.layout import Layout
@@ -20,6 +21,7 @@ from mjhab.scenes.spec import PARKED, Home
 from mjhab.sim.mujoco.cpu import CpuSimulator
 from tests.missing import need_warp
 from tests.real_data import real_data
+from tests.warp_device import TEST_DEVICE
 
 need_warp()
 
@@ -49,7 +51,7 @@ def open_worlds(layout: Layout):
     from mjhab.sim.warp.simulator import WarpSimulator
 
     return WarpSimulator(
-        layout, WORLDS, "cpu", sizes=BufferSizes(contacts=4096, ccd=1024, rows=1024)
+        layout, WORLDS, TEST_DEVICE, sizes=BufferSizes(contacts=4096, ccd=1024, rows=1024)
     )
 
 
@@ -222,19 +224,26 @@ def test_trap_depth_is_not_clamped_at_one_metre(pair: Pair) -> None:
     assert np.median(np.abs(got[far] - want[far])) < DEPTH_MEDIAN
 
 
+def body_places(pair: Pair) -> Tensor:
+    """(W, nbody, 3) positions of the bodies, the engine's own memory to write into: a GPU's ``numpy()`` is a copy."""
+    import warp as wp
+
+    return wp.to_torch(pair.sim.engine.data.xpos)
+
+
 def test_trap_hidden_what_is_parked_is_not_drawn(pair: Pair) -> None:
     pair.begin(pair.homes, [pair.start(home) for home in pair.homes])
     a = pair.cpu.addresses
-    data = pair.sim.engine.data
-    pos = data.xpos.numpy()
+    pos = body_places(pair)
     robot = [
         pair.cpu.model(pair.homes[0]).body(name).id
         for name in ("base_link", "gripper_link", "head_tilt_link")
     ]
     assert (pos[:, robot, 2] > 0).all()
     # The whole scene of bodies sinks to where pieces of other homes are parked, in view of the cameras.
-    sunk = np.array([PARKED[0] - 2.0, PARKED[1], PARKED[2] - 0.6]) - pos[:, robot[:1]]
-    before = pos.copy()
+    below = pos.new_tensor([PARKED[0] - 2.0, PARKED[1], PARKED[2] - 0.6])
+    before = pos.clone()
+    sunk = below - before[:, robot[:1]]
     pos[:, 1:] = before[:, 1:] + sunk
     try:
         seg = pair.drawn()["seg"]
@@ -276,8 +285,8 @@ def test_a_world_that_diverged_gets_zeros_and_the_others_their_pictures(
 ) -> None:
     pair.begin(pair.homes, [pair.start(home) for home in pair.homes])
     before = pair.drawn()
-    pos = pair.sim.engine.data.xpos.numpy()
-    kept = pos.copy()
+    pos = body_places(pair)
+    kept = pos.clone()
     for bad in (np.nan, 1e6):
         pos[1, 5] = bad
         got = pair.drawn()
@@ -318,7 +327,7 @@ def test_a_device_that_is_full_is_told(
     cameras = warp.WarpCameras(pair.sim, CAMERAS, SIZE, OUTPUTS)
     monkeypatch.setattr(warp.WarpCameras, "_draw", full)
     with pytest.raises(
-        UsageError, match="3 worlds do not fit into the memory of cpu; try 1 "
+        UsageError, match=f"3 worlds do not fit into the memory of {TEST_DEVICE}; try 1 "
     ):
         cameras.draw()
     monkeypatch.setattr(warp.WarpCameras, "_make_images", full)

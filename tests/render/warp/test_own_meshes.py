@@ -13,6 +13,7 @@ from mjhab.scenes.builtin.pack import builtin_pack
 from mjhab.sim.mujoco.cpu import CpuSimulator
 from tests.missing import need_warp
 from tests.render.own_meshes import CUBES, cube
+from tests.warp_device import TEST_DEVICE
 
 need_warp()
 
@@ -48,7 +49,7 @@ def test_every_cube_has_the_depth_of_the_good_one(layout: Layout) -> None:
 
     worlds = len(CUBES)
     sizes = BufferSizes(contacts=4096, ccd=1024, rows=1024)
-    device = WarpSimulator(layout, worlds, "cpu", sizes=sizes)
+    device = WarpSimulator(layout, worlds, TEST_DEVICE, sizes=sizes)
     host = CpuSimulator(layout, worlds, 1)
     homes = [layout.pack.homes[0].name] * worlds
     starts = _starts(host, worlds)

@@ -1,4 +1,4 @@
-"""What the tests of the GPU simulator begin with: worlds of a can and a box on three homes, on Warp's CPU device."""
+"""What the tests of the GPU simulator begin with: worlds of a can and a box on three homes."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from mjhab.scenes.spec import Home
 from mjhab.sim.mujoco.cpu import CpuSimulator
 from mjhab.sim.mujoco.settle import parked_robot_qpos, settle
 from mjhab.sim.protocol import TAINTS
+from tests.warp_device import check_repeated
 
 CAN = 0
 BOX = 1
@@ -97,7 +98,7 @@ def bits_of(taint: np.ndarray) -> list[set[str]]:
     ]
 
 
-def rows_of(sim, world: int) -> list[bytes]:
+def rows_of(sim, world: int) -> list[np.ndarray]:
     """Everything of one world that a reset of another must keep."""
     engine = sim.engine
     state = sim.state()
@@ -117,4 +118,15 @@ def rows_of(sim, world: int) -> list[bytes]:
         state.tcp_vel,
     ]
     arrays += [state.body_pos, state.body_mat, state.body_quat, sim.taint()]
-    return [array[world].numpy().tobytes() for array in arrays]
+    return [array[world].numpy().copy() for array in arrays]
+
+
+def bits(rows: list[np.ndarray]) -> list[bytes]:
+    """To compare what nothing has computed anew."""
+    return [row.tobytes() for row in rows]
+
+
+def check_rows_repeated(ours: list[np.ndarray], theirs: list[np.ndarray]) -> None:
+    """See `check_repeated`."""
+    for number, (a, b) in enumerate(zip(ours, theirs, strict=True)):
+        check_repeated(a, b, f"row {number} of rows_of")

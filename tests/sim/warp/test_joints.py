@@ -8,6 +8,7 @@ from mjhab.layout.layout import Layout
 from mjhab.scenes.packs import open_pack
 from mjhab.sim.mujoco.cpu import CpuSimulator
 from tests.missing import need_warp
+from tests.warp_device import TEST_DEVICE
 
 need_warp()
 
@@ -24,7 +25,7 @@ def test_links_do_not_bounce_and_a_door_stops_at_the_wall() -> None:
 
     layout = Layout(open_pack("builtin"), ("024_bowl",), None, "published")
     cpu = CpuSimulator(layout, 2, 1)
-    warp = WarpSimulator(layout, 2, "cpu")
+    warp = WarpSimulator(layout, 2, TEST_DEVICE)
     a = cpu.addresses
     model = cpu.model(HOME)
     ends = np.array([ref.link.range for ref in layout.links])

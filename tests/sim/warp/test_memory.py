@@ -30,6 +30,7 @@ from tests.sim.warp.start import (
     homes_of,
     starts,
 )
+from tests.warp_device import TEST_DEVICE
 
 need_warp()
 
@@ -182,7 +183,7 @@ def test_captured_work_needs_no_memory_but_that_of_its_first_run(
         lambda device: nullcontext(SimpleNamespace(graph=None)),
     )
     sim = warp.WarpSimulator(
-        layout, 2, "cpu", sizes=warp.BufferSizes(contacts=512, ccd=256, rows=512)
+        layout, 2, TEST_DEVICE, sizes=warp.BufferSizes(contacts=512, ccd=256, rows=512)
     )
     home = layout.pack.homes[0].name
     qpos = sim.qpos.clone()
@@ -209,7 +210,7 @@ def test_the_broad_phase_is_one_that_can_stand_under_a_condition(
 
     monkeypatch.setattr(mujoco_warp, "put_model", put_large)
     sim = warp.WarpSimulator(
-        layout, 1, "cpu", sizes=warp.BufferSizes(contacts=512, ccd=256, rows=512)
+        layout, 1, TEST_DEVICE, sizes=warp.BufferSizes(contacts=512, ccd=256, rows=512)
     )
     assert sim.engine.model.opt.broadphase == mujoco_warp.BroadphaseType.NXN
 
@@ -278,16 +279,17 @@ def test_too_many_worlds_for_the_memory(
     monkeypatch.setattr(warp, "Engine", full)
     sizes = warp.BufferSizes(contacts=64, ccd=64, rows=64)
     with pytest.raises(
-        UsageError, match=r"6 worlds do not fit into the memory of cpu; try 3 .*num_envs"
+        UsageError,
+        match=rf"6 worlds do not fit into the memory of {TEST_DEVICE}; try 3 .*num_envs",
     ):
-        warp.WarpSimulator(layout, 6, "cpu", sizes=sizes)
+        warp.WarpSimulator(layout, 6, TEST_DEVICE, sizes=sizes)
 
 
 def test_bad_arguments(warp: ModuleType, layout: Layout) -> None:
     with refused("num_worlds", 0, expected="at least 1"):
-        warp.WarpSimulator(layout, 0, "cpu")
+        warp.WarpSimulator(layout, 0, TEST_DEVICE)
     with refused("device", "cpu:3", expected="cpu"):
         warp.WarpSimulator(layout, 1, "cpu:3")
     sizes = warp.BufferSizes(contacts=64, ccd=64, rows=64)
     with refused("home", "builtin_m0_0", expected="builtin_m0_00"):
-        warp.WarpSimulator(layout, 1, "cpu", sizes=sizes).model("builtin_m0_0")
+        warp.WarpSimulator(layout, 1, TEST_DEVICE, sizes=sizes).model("builtin_m0_0")

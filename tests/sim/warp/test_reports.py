@@ -22,8 +22,10 @@ from mjhab.bench.specs import EnvBenchSpec
 from mjhab.cli.machine import warmup
 from mjhab.rollout.loop import rollout
 from mjhab.scenes import packs
+from mjhab.sim.backends import check_device, open_simulator
 from mjhab.sim.warp.host_twin import HostTwin
 from tests.missing import need_warp
+from tests.warp_device import TEST_DEVICE
 
 need_warp()
 
@@ -197,8 +199,20 @@ def test_warmup_compiles_all_of_a_device_env(monkeypatch: pytest.MonkeyPatch) ->
 def test_grasps_hold_alike(monkeypatch: pytest.MonkeyPatch) -> None:
     from benchmarks.parity import grasp as parity_grasp
 
+    opened: list[tuple[str, str]] = []
+
+    def on_a_machine_with_a_gpu(
+        name: str, *args: Any, device: str, **options: Any
+    ) -> Any:
+        check_device(name, device)
+        opened.append((name, device))
+        there = TEST_DEVICE if name == "warp" else ""
+        return open_simulator(name, *args, device=there, **options)
+
     monkeypatch.setattr(parity_grasp, "BENCH_OBJECTS", ("005_tomato_soup_can",))
-    (row,) = parity_grasp.grasp_parity(0.2, "cpu", 1, 0)
+    monkeypatch.setattr(parity_grasp, "open_simulator", on_a_machine_with_a_gpu)
+    (row,) = parity_grasp.grasp_parity(0.2, "cuda:0", 1, 0)
+    assert opened == [("cpu", ""), ("warp", "cuda:0")]
     assert row["object"] == "005_tomato_soup_can"
     for backend in ("cpu", "warp"):
         assert not row[backend]["dropped"] and 0.0 < row[backend]["slip_mm"] < 10.0

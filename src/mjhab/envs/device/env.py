@@ -18,6 +18,7 @@ from mjhab.config.env import EnvConfig
 from mjhab.core.arrays import to_numpy
 from mjhab.core.errors import UsageError, shown, wrong_value
 from mjhab.core.joints import BASE_XY
+from mjhab.core.seeding import stream
 from mjhab.core.typed.checks import check_shape
 from mjhab.envs.device.notes import DeviceNotes, DeviceStepNotes
 from mjhab.envs.device.observing import DeviceObserver
@@ -48,7 +49,8 @@ class DeviceEnv(TaskLoop, VectorEnv):
     where that has float64. The differences are:
 
     * Episodes come from a pool of P starts: the k-th episode of world w is start (w + k W) mod P, and start i is the
-      episode (seed, i) of the cpu backend. A reset with another seed makes a new pool, which takes time.
+      episode (seed, i) of the cpu backend. A reset with another seed makes a new pool, which takes time; `draw_starts`
+      does not.
     * `info` holds tensors only: "event_flags" (W, E) bool with the columns `registry.event_columns`, "ended" (W,) bool
       for subtasks that ended in this step, and "label" (W,) for their labels, -1 for none. `records` and `episode_spec`
       make records and descriptions of episodes on the host.
@@ -156,6 +158,15 @@ class DeviceEnv(TaskLoop, VectorEnv):
                 raise UsageError("a new seed is for all worlds: leave out reset_mask")
             self.pool = StartPool(self._source, self.sim, self.pool.count, int(seed))
         self.count = torch.where(mask, 0, self.count)
+
+    def draw_starts(self, seed: int) -> None:
+        """Let ``seed`` draw with which of its starts in the pool each world goes on; the next resets begin there.
+
+        Its further episodes follow in the order of the pool. Unlike a reset with another seed this takes no time, and
+        the pool keeps its starts.
+        """
+        drawn = stream(seed, "starts").integers(self.pool.count, size=self.num_envs)
+        self.count = torch.as_tensor(drawn, device=self.device)
 
     def _next_episodes(self) -> Tensor:
         return (self._worlds + self.count * self.num_envs) % self.pool.count

@@ -107,14 +107,20 @@ class Worlds:
         self.seen: AgentObs = self.begin(seed)
 
     def begin(self, seed: int) -> AgentObs:
-        """Start new episodes in all worlds; they depend on ``seed`` only."""
+        """Start new episodes in all worlds; they depend on ``seed`` only.
+
+        On the device they are starts of the environment's one pool that ``seed`` draws: to make another pool, as a
+        reset with a seed does, takes longer than the training until the next checkpoint.
+        """
         began = time.perf_counter()
         seen = self._begin(seed)
         self.seconds += time.perf_counter() - began
         return seen
 
     def _begin(self, seed: int) -> AgentObs:
-        obs, info = self.env.reset(seed=seed)
+        if not self._numpy:
+            self.env.draw_starts(seed)
+        obs, info = self.env.reset(seed=seed if self._numpy else None)
         every = ~self._none
         self._succeeded = self._none
         longest = self.rules.longest_first

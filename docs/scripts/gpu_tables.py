@@ -9,10 +9,10 @@ from result_files import Row, percent, read, source, table
 PICTURES = {True: "2 x 128 x 128 RGB-D", False: "no"}
 
 
-def h100_interact() -> str:
-    """Interact with 256 to 4,096 worlds."""
-    rows = read("gpu-h100")["interact"]
-    return _interact(rows, "GPU memory, all processes", "device_mb") + source("gpu-h100")
+def h200_interact() -> str:
+    """Interact with 64 to 8,192 worlds."""
+    rows = read("gpu-h200")["interact"]
+    return _interact(rows, "GPU memory, all processes", "device_mb") + source("gpu-h200")
 
 
 def host_interact() -> str:
@@ -35,9 +35,9 @@ def _interact(rows: Iterable[Row], memory: str, key: str) -> str:
     return table((*head, "physics, pictures [ms per step of all worlds]", memory), lines)
 
 
-def h100_env() -> str:
+def h200_env() -> str:
     """Training environments with depth."""
-    return _env(read("gpu-h100")["env"]) + source("gpu-h100")
+    return _env(read("gpu-h200")["env"]) + source("gpu-h200")
 
 
 def host_env() -> str:
@@ -75,7 +75,15 @@ def sleep() -> str:
 
 def parity_divergence() -> str:
     """Largest and median difference of both backends under the same actions."""
-    found = read("gpu-parity")
+    return _divergence(read("gpu-parity"))
+
+
+def h200_divergence() -> str:
+    """The same on a GPU."""
+    return _divergence(read("gpu-h200")["parity"])
+
+
+def _divergence(found: Row) -> str:
     lines = []
     for name, most in found["qpos_max"].items():
         pairs = zip(most, found["qpos_median"][name], strict=True)
@@ -97,8 +105,9 @@ def parity_episodes() -> str:
 
 
 TABLES = {
-    "gpu_h100_interact": h100_interact,
-    "gpu_h100_env": h100_env,
+    "gpu_h200_interact": h200_interact,
+    "gpu_h200_env": h200_env,
+    "gpu_h200_divergence": h200_divergence,
     "gpu_host_interact": host_interact,
     "gpu_host_env": host_env,
     "gpu_sleep": sleep,

@@ -12,9 +12,10 @@ from mjhab.core.errors import UsageError
 from mjhab.core.files.cache import cache_dir, read_cached, write_cached
 from mjhab.core.files.code_digest import code_digest
 from mjhab.core.names import below
+from mjhab.layout.joints import give_stopped_weight
 from mjhab.layout.layout import Layout
 from mjhab.layout.model_spec import build_spec
-from mjhab.scenes.spec import Home
+from mjhab.scenes.spec import PUBLISHED_DYNAMICS, Home
 
 
 def home_hash(layout: Layout, home: Home) -> str:
@@ -73,6 +74,9 @@ def compile_home(layout: Layout, home: Home) -> mujoco.MjModel:
     if found is None:
         try:
             model = build_spec(layout, home).compile()
+            if layout.joint_dynamics == PUBLISHED_DYNAMICS:
+                pieces = layout.pack.articulations.values()
+                give_stopped_weight(model, pieces, layout.stopped_links)
         except ValueError as error:
             reason = ", ".join(str(error).splitlines())
             raise UsageError(f"home {home.name!r} does not compile: {reason}") from error

@@ -108,7 +108,7 @@ def test_a_home_without_room_in_a_pattern_is_skipped_named_and_counted(
 ) -> None:
     """Before, one such home ended the whole evaluation."""
     monkeypatch.setattr(generator, "MOST_DRAWS", 3)
-    monkeypatch.setattr(errors, "_told", set())
+    monkeypatch.setattr(errors, "_warned", set())
     monkeypatch.setenv("MJHAB_CACHE", str(tmp_path / "cache"))
     street(bare(tmp_path / "bare.json", name="bare"), COTTAGE)
     asked: dict[str, Any] = {

@@ -127,10 +127,10 @@ def fingerprints(small: bool, data: str = "") -> dict[str, str]:
 def episode_sets(small: bool, data: str) -> Iterator[tuple[str, list[str]]]:
     """Name and ``mjhab generate`` options of every set of recorded episodes."""
     if small:
-        yield (
-            "set_table-pick",
-            "--task set_table --subtask pick --episodes 1 --worlds 1".split(),
-        )
+        words: list[str] = [
+            *"--task set_table --subtask pick --episodes 1 --worlds 1".split()
+        ]
+        yield "set_table-pick", words
         return
     for task in CHAINS:
         yield task, ["--task", task, "--episodes", "2", "--worlds", "2"]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from functools import cache, cached_property
 
@@ -58,7 +58,8 @@ class InstructionGenerator:
             plan: subtasks to describe.
             alone: the plan is a single subtask instead of a chain.
         """
-        tale = _Tale(self._layout, episode, plan, self._words(episode.home))
+        words = self._words(episode.home)
+        tale = _Tale(self._layout, episode, plan, words, self._alike)
         positions = range(len(plan.subtasks))
         requests = [tale.request(k) for k in positions]
         draw = seeded_draw(stream(episode.seed, "instruction", episode.index))
@@ -69,6 +70,17 @@ class InstructionGenerator:
         return HomeWords(self._layout, self._homes[home], self._templates)
 
     @cached_property
+    def _alike(self) -> Mapping[str, frozenset[str]]:
+        """By object, the others that its names fit; once for all episodes, since comparing names takes long."""
+        objects = self._layout.object_names
+        return {
+            obj: frozenset(
+                other for other in objects if other != obj and _fits(_names(obj), other)
+            )
+            for obj in objects
+        }
+
+    @cached_property
     def _templates(self) -> dict[str, TemplateWords]:
         pack = self._layout.pack
         templates = (*pack.props.values(), *pack.articulations.values())
@@ -77,12 +89,16 @@ class InstructionGenerator:
 
 @dataclass(frozen=True, eq=False)
 class _Tale:
-    """One episode that is told: its objects and plan, and the words of its home."""
+    """One episode that is told: its objects and plan, and the words of its home.
+
+    alike: by object, the others that its names fit.
+    """
 
     layout: Layout
     episode: Episode
     plan: TaskPlan
     words: HomeWords
+    alike: Mapping[str, frozenset[str]]
 
     def request(self, position: int, anytime: bool = False) -> InstructionRequest:
         """Content of the sentence of the subtask at a position of the plan.
@@ -147,8 +163,7 @@ class _Tale:
         """What tells an object from others that its name and its place fit."""
         place = self.places[obj]
         spot = self._spot(place)
-        names = _names(obj)
-        rivals = [name for name in self.points if name != obj and _fits(names, name)]
+        rivals = [name for name in self.points if name in self.alike[obj]]
         others: list[tuple[float, float]] = []
         at_start = []
         at_times = False
@@ -195,7 +210,7 @@ class _Tale:
             for name in here
             if name not in moved
             and name not in without
-            and not any(_fits(_names(name), other) for other in here if other != name)
+            and self.alike[name].isdisjoint(here)
         ]
 
 

@@ -83,14 +83,19 @@ def judged(row: dict[str, Any], folder: Path, commit: str) -> dict[str, Any]:
 
 def take(row: dict[str, Any]) -> None:
     """Write a row to the file; one of the same KEYS is replaced."""
-    rows = []
+    found: dict[str, Any] = {"rows": []}
     if FILE.is_file():
-        rows = json.loads(FILE.read_text(encoding="utf-8"))["rows"]
+        found = json.loads(FILE.read_text(encoding="utf-8"))
+    rows = found["rows"]
+    # Other rows are as old as they were.
+    today = datetime.date.today().isoformat()
+    since = found.get("date", today).partition("/")[0]
+    versions = {*found.get("version", __version__).split(" and "), __version__}
     table = {tuple(each[key] for key in KEYS): each for each in [*rows, row]}
     content = {
         "what": "policies that come with mjhab, profile ms_hab",
-        "date": datetime.date.today().isoformat(),
-        "version": __version__,
+        "date": today if since == today else f"{since}/{today}",
+        "version": " and ".join(sorted(versions)),
         "command": "python docs/scripts/judge_students.py --out runs/judged",
         "rows": [table[key] for key in sorted(table)],
     }

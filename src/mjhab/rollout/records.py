@@ -298,10 +298,8 @@ def _number(name: str, value: Any) -> float:
         raise ValueError(f"{name} must be a number that fits 64 bits.") from error
 
 
-def _events(instruction: Any) -> tuple[Event, ...]:
-    return tuple(
-        (_count("step of an event", step), str(name)) for step, name in instruction
-    )
+def _events(entries: Any) -> tuple[Event, ...]:
+    return tuple((_count("step of an event", step), str(name)) for step, name in entries)
 
 
 def _sentence(text: Any) -> str:

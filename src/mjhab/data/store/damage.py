@@ -70,7 +70,7 @@ def _contradictions(episode: RecordedEpisode) -> list[str]:
     """Describe where record, attributes and run of an episode contradict each other."""
     record = episode.record
     attributes = episode.attributes
-    counts = {
+    expected = {
         "seed": record.seed,
         "index": record.index,
         "home": record.home,
@@ -81,7 +81,7 @@ def _contradictions(episode: RecordedEpisode) -> list[str]:
     }
     wrong = [
         f"its record has {name} {value!r}, its group {attributes[name]!r}"
-        for name, value in counts.items()
+        for name, value in expected.items()
         if name in attributes and attributes[name] != value
     ]
     wrong += ending_problems(attributes["ending"])

@@ -351,9 +351,9 @@ def number_of_root(
             for furniture, n, valid in evidence
         ):
             return root
-    numbers = ", ".join(f"{furniture} link {n}" for furniture, n, _ in evidence)
+    wrong = ", ".join(f"{furniture} link {n}" for furniture, n, _ in evidence)
     raise ValueError(
-        f"ao_states: these numbers are not links of the furniture, however the root is counted: {numbers}."
+        f"ao_states: these numbers are not links of the furniture, however the root is counted: {wrong}."
     )
 
 

@@ -89,7 +89,7 @@ class InstructionGenerator:
 
 @dataclass(frozen=True, eq=False)
 class _Tale:
-    """One episode that is told: its objects and plan, and the words of its home.
+    """One episode that is described: its objects and plan, and the words of its home.
 
     alike: by object, the others that its names fit.
     """

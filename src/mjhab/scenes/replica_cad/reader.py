@@ -108,13 +108,13 @@ def open_replica_cad(
     homes = tuple(reader.home(name) for name in chosen)
     furniture = reader.furniture
     if reader.loose:
-        names = (
+        where = (
             f"{len(reader.loose)} scenes ({reader.loose[0]}, ...)"
             if len(reader.loose) > 1
             else reader.loose[0]
         )
         warn_once(
-            f"{folder}: objects that may move in {names} (motion_type DYNAMIC) stand fixed here, as furniture."
+            f"{folder}: objects that may move in {where} (motion_type DYNAMIC) stand fixed here, as furniture."
         )
     _warn(folder, stages.missing, stages.consequence())
     _warn(folder, furniture.missing, "their collision shapes are drawn instead")

@@ -143,7 +143,7 @@ def _header(track: Track, models: DrawnHome, block: _Block) -> dict[str, Any]:
         "reward": [m.reward for m in moments],
         "active": [m.active for m in moments],
     }
-    head = {
+    packed = {
         name: block.add(np.array(values, np.float32)) for name, values in series.items()
     }
     actors = actor_colors(track)
@@ -172,7 +172,7 @@ def _header(track: Track, models: DrawnHome, block: _Block) -> dict[str, Any]:
         ],
         "actors": [{"name": name, "color": color} for name, color in actors.items()],
         "actor": block.add(np.array([places[m.actor] for m in moments[1:]], np.uint8)),
-        "series": head,
+        "series": packed,
         "terms": terms,
         "term": block.add(
             np.array(

@@ -38,13 +38,6 @@ class Landmark:
     centre: np.ndarray
     corners: np.ndarray | None = None
 
-    def distances(self, points: np.ndarray) -> np.ndarray:
-        """(K, N) [m] distances of points (N, 2) to the centre and, of furniture, to the outline."""
-        centre = np.linalg.norm(points - self.centre, axis=1)
-        if self.corners is None:
-            return centre[None]
-        return np.stack([centre, _outside(points, self.corners)])
-
 
 @dataclass(frozen=True)
 class Mark:
@@ -92,11 +85,14 @@ def _tiers(
     """Words by preference, each with its margin [m], and the margin that suffices; see `mark`."""
     if left is not None and not superlatives:
         yield _sides(points @ left), SURE_SIDE_M
-    yield _ranked(points, near, _NEAREST), SURE_M
-    yield _ranked(points, far, _NEAREST), SURE_M
-    yield _ranked(points, far, _FURTHEST), SURE_M
-    if not superlatives:
-        yield _ranked(points, far, _BETWEEN), SURE_M
+    if near:
+        yield _ranked(near, _distances(near, points), _NEAREST), SURE_M
+    if far:
+        distances = _distances(far, points)
+        yield _ranked(far, distances, _NEAREST), SURE_M
+        yield _ranked(far, distances, _FURTHEST), SURE_M
+        if not superlatives:
+            yield _ranked(far, distances, _BETWEEN), SURE_M
 
 
 def _sides(along: np.ndarray) -> list[tuple[float, Mark]]:
@@ -111,36 +107,51 @@ def _sides(along: np.ndarray) -> list[tuple[float, Mark]]:
 
 
 def _ranked(
-    points: np.ndarray, landmarks: Sequence[Landmark], words: Sequence[str]
+    landmarks: Sequence[Landmark], distances: np.ndarray, words: Sequence[str]
 ) -> list[tuple[float, Mark]]:
     """Margin [m] and words of the place that a thing has among all by their distances to each landmark.
 
     Args:
-        points: (1 + N, 2) positions [m], the thing's first.
-        landmarks: what distances are told from.
+        landmarks: L landmarks.
+        distances: (L, 2, 1 + N) of `_distances`, the thing's first.
         words: `_FURTHEST`, or the words of the places from the nearest on, "" for one that is not told.
     """
+    others = distances[:, :, 1:]
+    own = distances[:, :, :1]
+    ranks = (others < own).sum(axis=2).tolist()
+    margins = np.abs(others - own).min(axis=(1, 2)).tolist()
+    last = others.shape[2]
     found = []
-    for landmark in landmarks:
-        d = landmark.distances(points)
-        ranks = (d[:, 1:] < d[:, :1]).sum(axis=1)
-        if ranks.min() != ranks.max():
+    for landmark, (rank, by_outline), margin in zip(
+        landmarks, ranks, margins, strict=True
+    ):
+        if rank != by_outline:
             continue
-        rank = int(ranks[0])
-        last = len(points) - 1
         word = words[0] if rank == last and words is _FURTHEST else ""
         if words is not _FURTHEST and rank < min(len(words), last):
             word = words[rank]
         if word:
-            margin = float(np.abs(d[:, 1:] - d[:, :1]).min())
             found.append((margin, Mark(after=f"{word} {landmark.name}")))
     return found
 
 
+def _distances(landmarks: Sequence[Landmark], points: np.ndarray) -> np.ndarray:
+    """(L, 2, N) distances [m] of points (N, 2) to landmarks: to the centre, and to the outline if there is one."""
+    centres = np.array([landmark.centre for landmark in landmarks])
+    to_centre = np.linalg.norm(points - centres[:, None], axis=2)
+    found = np.stack([to_centre, to_centre], axis=1)
+    outlined = [i for i, each in enumerate(landmarks) if each.corners is not None]
+    if outlined:
+        corners = np.array([landmarks[i].corners for i in outlined])
+        found[outlined, 1] = _outside(points, corners)
+    return found
+
+
 def _outside(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
-    """(N,) distances [m] of points (N, 2) to a rectangle with corners (4, 2), 0 within it."""
-    origin = corners[0]
-    axes = np.stack([corners[1] - origin, corners[3] - origin])
-    sizes = np.linalg.norm(axes, axis=1)
-    local = (points - origin) @ (axes / sizes[:, None]).T
-    return np.linalg.norm(local - np.clip(local, 0.0, sizes), axis=1)
+    """(L, N) distances [m] of points (N, 2) to rectangles with corners (L, 4, 2), 0 within them."""
+    origins = corners[:, :1]
+    axes = corners[:, [1, 3]] - origins
+    sizes = np.linalg.norm(axes, axis=2)
+    local = (points - origins) @ (axes / sizes[:, :, None]).transpose(0, 2, 1)
+    inside = np.clip(local, 0.0, sizes[:, None])
+    return np.linalg.norm(local - inside, axis=2)

@@ -63,7 +63,10 @@ class HomeWords:
         self, layout: Layout, home: Home, templates: Mapping[str, TemplateWords]
     ) -> None:
         self.receptacles = placed_receptacles(layout, home)
-        self._roles = roles_of(layout.pack, home)
+        roles = roles_of(layout.pack, home)
+        self._behind: dict[str, list[PlacedReceptacle]] = {}
+        for r in self.receptacles:
+            self._behind.setdefault(link_to_open(r, roles), []).append(r)
         self._templates = templates
         self._pieces = {piece.thing: piece for piece in _pieces(layout, home, templates)}
         self.landmarks = {
@@ -85,8 +88,8 @@ class HomeWords:
         The receptacle below counts. Drawers may be open while receptacles are where they are with drawers closed: of
         a point behind a link and above no receptacle behind it, the nearest one in height behind it.
         """
-        behind = [r for r in self.receptacles if link_to_open(r, self._roles) == link]
-        if not link or not behind:
+        behind = self._behind.get(link, []) if link else []
+        if not behind:
             return receptacle_below(point, self.receptacles)
         return receptacle_below(point, behind) or min(
             behind, key=lambda r: abs(point[2] - r.pos[2])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from functools import cache, cached_property
 
@@ -163,11 +163,10 @@ class _Tale:
         """What tells an object from others that its name and its place fit."""
         place = self.places[obj]
         spot = self._spot(place)
-        rivals = [name for name in self.points if name in self.alike[obj]]
         others: list[tuple[float, float]] = []
         at_start = []
         at_times = False
-        for name in rivals:
+        for name in self._rivals(obj):
             found = self._whereabouts(position, name, anytime)
             here = [
                 point[:2]
@@ -180,14 +179,42 @@ class _Tale:
             at_start += here[: bool(here) and here[0] == self.points[name][:2]]
         if not others:
             return Mark()
+        return self._apart(obj, tuple(others), tuple(at_start) if at_times else None)
+
+    def _find_apart(
+        self,
+        obj: str,
+        others: tuple[tuple[float, float], ...],
+        at_start: tuple[tuple[float, float], ...] | None,
+    ) -> Mark:
+        """Words that fit an object and none of the others.
+
+        Args:
+            obj: the object.
+            others: x, y [m] of the others.
+            at_start: of those that are there at the start of the episode; None if all are there all the time.
+        """
+        place = self.places[obj]
         own = self.points[obj][:2]
         left = self.words.left(place)
-        near = self._landmarks_on(spot, {obj, *rivals}) if place is not None else []
+        without = {obj, *self._rivals(obj)}
+        spot = self._spot(place)
+        near = self._landmarks_on(spot, without) if place is not None else []
         far = self.words.landmarks_besides(place)
-        found = mark(np.array([own, *others]), left, near, far, superlatives=at_times)
-        if found is None and at_times and at_start:
+        moves = at_start is not None
+        found = mark(np.array([own, *others]), left, near, far, superlatives=moves)
+        if found is None and at_start:
             found = mark(np.array([own, *at_start]), left, near, far)
         return found or Mark()
+
+    @cached_property
+    def _apart(self) -> Callable[..., Mark]:
+        """`_find_apart`, once for each arrangement: most sentences of a whole task are about the same one."""
+        return cache(self._find_apart)
+
+    def _rivals(self, obj: str) -> list[str]:
+        """Objects of the episode that the names of an object fit."""
+        return [name for name in self.points if name in self.alike[obj]]
 
     def _whereabouts(
         self, position: int, obj: str, anytime: bool

@@ -99,6 +99,7 @@ _PACKAGES = frozenset(
         "assets",
         "bench",
         "cli",
+        "compat",
         "config",
         "core",
         "data",

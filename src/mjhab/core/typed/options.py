@@ -234,7 +234,7 @@ class _ValueReader:
 
     def _fields(self, name: str, kind: Any, value: Mapping[str, Any]) -> Any:
         hints = typing.get_type_hints(kind)
-        known = {field.name: field for field in dataclasses.fields(kind)}
+        known = {field.name: field for field in dataclasses.fields(kind) if field.init}
         for key in sorted(set(value) - set(known)):
             raise unknown_name("field", key, known, where=self._place(name))
         lacking = [

@@ -1,0 +1,1 @@
+"""Layers under which scripts that were written for other projects run on mjhab."""

@@ -1,0 +1,1 @@
+"""What scripts of MS-HAB import, answered by mjhab."""

@@ -1,0 +1,1 @@
+"""MS-HAB's files: task plans, the episodes they name, spawn data, grasp poses."""

@@ -70,9 +70,6 @@ HEAVY: dict[str, frozenset[str]] = {
 }
 """Library to the packages that may import it."""
 
-LEFT_NAMES = {"TrainConfig"}
-"""The name that still stands for two classes: of environments (public) and of trainings."""
-
 FOREIGN = SOURCE / "compat"
 """Classes there have the names that scripts of other projects import."""
 
@@ -254,7 +251,7 @@ def test_class_names_are_unique() -> None:
             if isinstance(node, ast.ClassDef):
                 places.setdefault(node.name, []).append(module_of(path))
     shared = {name: found for name, found in places.items() if len(found) > 1}
-    assert set(shared) <= LEFT_NAMES, f"several classes of one name: {shared}"
+    assert not shared, f"several classes of one name: {shared}"
 
 
 def test_the_rule_can_be_broken(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

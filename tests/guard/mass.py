@@ -6,6 +6,12 @@
 A line of code is a line with at least one token that is neither comment nor docstring. Tokens are those of Python's
 own tokenizer. A dataclass is a class that ``dataclass`` decorates; msgspec structures count as well. An importer of a
 module is another module of the package that names it in an import, lazy ones included.
+
+A declaration of an option is a field whose value a user gives, on the command line, in Python or as a preset: the field
+of a dataclass that checks what it was given (`take_options`, itself or through a base class), that describes fields for
+the command line (`Flag`, `Bound`, `Sets` in their annotations), or that is called ``...Config`` or ``...Options``. All
+other dataclasses are records: an episode, a row of a table or a job of a worker say which seed or task they have, and
+nobody chooses it there. Both are counted, apart.
 """
 
 from __future__ import annotations
@@ -16,12 +22,14 @@ import io
 import json
 import tokenize
 from collections import Counter, defaultdict
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 PACKAGE = "mjhab"
 SHARED_OPTIONS = ("seed", "threads", "task", "worlds", "num_envs")
+OPTION_MARKS = {"take_options", "Flag", "Bound", "Sets"}
+"""Names in the body of a class whose fields are options."""
 SMALL_MODULE_LINES = 60
 LAYOUT_TOKENS = {
     tokenize.COMMENT,
@@ -138,16 +146,35 @@ def per_package(modules: list[Module]) -> dict[str, dict[str, int]]:
     return {name: dict(row) for name, row in sorted(rows.items())}
 
 
-def declarations(modules: list[Module]) -> dict[str, int]:
-    """Number of dataclasses that declare each of the options that many commands share."""
-    counts = Counter(
-        name
+def declarations(modules: list[Module]) -> dict[str, dict[str, int]]:
+    """Number of classes that declare each of the options that many commands share, and of records that hold one."""
+    structures = {
+        node.name: node
         for module in modules
         for node in module.classes()
-        if _is_dataclass(node)
-        for name in _fields(node)
+        if _is_dataclass(node) or node.name == "EnvSpec"
+    }
+    found = {name: {"options": 0, "records": 0} for name in SHARED_OPTIONS}
+    for node in structures.values():
+        kind = "options" if _takes_options(node, structures) else "records"
+        for name in {*_fields(node)} & {*SHARED_OPTIONS}:
+            found[name][kind] += 1
+    return found
+
+
+def _takes_options(node: ast.ClassDef, structures: Mapping[str, ast.ClassDef]) -> bool:
+    """Whether the fields of a dataclass are options, see the docstring of the module."""
+    if node.name.endswith(("Config", "Options")):
+        return True
+    names = {part.id for part in ast.walk(node) if isinstance(part, ast.Name)}
+    if names & OPTION_MARKS:
+        return True
+    bases = (base.id for base in node.bases if isinstance(base, ast.Name))
+    return any(
+        _takes_options(structures[base], structures)
+        for base in bases
+        if base in structures
     )
-    return {name: counts[name] for name in SHARED_OPTIONS}
 
 
 def shared_class_names(modules: list[Module]) -> dict[str, list[str]]:

@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 
 from mjhab.core.errors import UsageError
-from mjhab.integrations.lerobot import LeRobotEnv, LeRobotOptions
+from mjhab.integrations.lerobot import LeRobotEnv
 
-OPTIONS = LeRobotOptions(subtask="close", target="kitchen_counter/drawer3", image_size=16)
+OPTIONS = {"subtask": "close", "target": "kitchen_counter/drawer3", "camera_size": 16}
 
 
 def test_it_gives_what_lerobot_reads() -> None:
     worlds = gymnasium.vector.SyncVectorEnv(
-        [lambda: LeRobotEnv(OPTIONS)] * 2,
+        [lambda: LeRobotEnv(**OPTIONS)] * 2,
         autoreset_mode=gymnasium.vector.AutoresetMode.SAME_STEP,
     )
     obs, _ = worlds.reset(seed=[3, 4])
@@ -34,13 +34,13 @@ def test_it_gives_what_lerobot_reads() -> None:
     ]
     assert worlds.call("render")[0].ndim == 3
     # The seed of a reset names its episode.
-    again, _ = LeRobotEnv(OPTIONS).reset(seed=4)
+    again, _ = LeRobotEnv(**OPTIONS).reset(seed=4)
     np.testing.assert_array_equal(again["agent_pos"], obs["agent_pos"][1])
     worlds.close()
 
 
 def test_actions_of_another_size_and_nan_are_refused() -> None:
-    env = LeRobotEnv(LeRobotOptions(subtask="close", actions="ee", image_size=16))
+    env = LeRobotEnv("ee", subtask="close", camera_size=16)
     assert env.action_space.shape == (9,)
     env.reset(seed=0)
     with pytest.raises(UsageError, match="actions have 13 numbers, not 9"):

@@ -16,11 +16,11 @@ from mjhab.learning.configs import (
     FLOW,
     GAUSSIAN,
     GAUSSIAN_ACTIONS,
+    ImitationConfig,
     InputConfig,
     NetworkConfig,
     OptimizerConfig,
     StudentConfig,
-    TrainConfig,
 )
 from mjhab.learning.demos import Demonstrations
 from mjhab.learning.observation.parts import SubtaskConditioning, code_of
@@ -87,8 +87,8 @@ def config(
     return dataclasses.replace(student, **changes)
 
 
-def train_config(**changes: Any) -> TrainConfig:
-    return TrainConfig(config(**changes))
+def train_config(**changes: Any) -> ImitationConfig:
+    return ImitationConfig(config(**changes))
 
 
 def demonstrations(

@@ -20,9 +20,9 @@ from mjhab.evaluation.evaluate import evaluate
 from mjhab.learning.checkpoint import load_checkpoint, load_student
 from mjhab.learning.configs import (
     DaggerConfig,
+    ImitationConfig,
     InputConfig,
     NetworkConfig,
-    TrainConfig,
 )
 from mjhab.learning.demos import recorded_profile
 from mjhab.learning.reinforcement.configs import RLPD, ReinforcementConfig, SacConfig
@@ -62,7 +62,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, ImitationSpec]:
     )
     request = ImitationSpec.of(
         out=out,
-        preset=TrainConfig(student, dagger),
+        preset=ImitationConfig(student, dagger),
         **env_of(SCENE),
         eval_episodes=1,
         round_episodes=0,
@@ -216,7 +216,7 @@ def test_one_student_learns_several_subtasks(tmp_path: Path) -> None:
     opening = dataclasses.replace(SCENE, subtask="open")
     request = ImitationSpec.of(
         out=tmp_path / "run",
-        preset=TrainConfig(student, dagger),
+        preset=ImitationConfig(student, dagger),
         **env_of(SCENE),
         eval_episodes=1,
         round_episodes=0,
@@ -254,7 +254,7 @@ def test_a_student_of_navigate_knows_where_its_ways_lead(task: str, target: str)
     scene = Scene(task, "navigate", target, home="builtin_m0_00", profile="ms_hab")
     request = ImitationSpec.of(
         out="unused",
-        preset=TrainConfig(config(inputs=InputConfig(cameras=(), image_size=0))),
+        preset=ImitationConfig(config(inputs=InputConfig(cameras=(), image_size=0))),
         **env_of(scene),
     )
     layout = layout_for(request)
@@ -279,7 +279,7 @@ def test_other_robots_are_trained_with_their_own_cameras(tmp_path: Path) -> None
     scene = dataclasses.replace(SCENE, robot=robot.name, profile="")
     request = ImitationSpec.of(
         out=tmp_path / "run",
-        preset=TrainConfig(student),
+        preset=ImitationConfig(student),
         **env_of(scene),
         eval_episodes=1,
         round_episodes=0,

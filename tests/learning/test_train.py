@@ -96,7 +96,7 @@ def test_a_configuration_of_ones_own_is_a_preset() -> None:
     own = configs.preset_of("dagger", "quick")
     spec = DaggerSpec.of(out="run", preset=own, rounds=1, worlds=3, seed=7)
     assert spec.config.dagger is not None and spec.config.dagger.rounds == 1
-    assert (spec.means.worlds, spec.seed) == (3, 7)
+    assert (spec.resources.worlds, spec.seed) == (3, 7)
     assert ImitationSpec.of(out="run", preset=own).config == own
     demos = reinforcement_preset("rlpd")
     assert RlpdSpec.of(out="run", preset=demos, data="here").data == (Path("here"),)

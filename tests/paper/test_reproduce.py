@@ -12,7 +12,7 @@ from mjhab.cli.main import main, parse
 from mjhab.core.errors import MjhabError
 from mjhab.learning import configs
 from mjhab.learning.changes import with_changes
-from mjhab.learning.configs import DaggerConfig, InputConfig, TrainConfig, preset_of
+from mjhab.learning.configs import DaggerConfig, ImitationConfig, InputConfig, preset_of
 from mjhab.paper.reproduce.rows import table_rows
 from mjhab.paper.reproduce.spec import TableSpec, chosen_rows, table_config
 from mjhab.paper.reproduce.studies import config_of
@@ -98,7 +98,9 @@ def test_a_row_is_trained_judged_and_set_beside_the_paper(
 ) -> None:
     student = config(inputs=InputConfig(image_size=16), demos=1, updates=2, hold_steps=5)
     dagger = DaggerConfig(rounds=0)
-    monkeypatch.setitem(configs.PRESETS["dagger"], "tiny", TrainConfig(student, dagger))
+    monkeypatch.setitem(
+        configs.PRESETS["dagger"], "tiny", ImitationConfig(student, dagger)
+    )
     words = [
         *COMMAND,
         "--out",
@@ -144,7 +146,9 @@ def test_a_policy_without_an_update_has_no_result(
 ) -> None:
     student = config(inputs=InputConfig(image_size=16), demos=1, updates=2, hold_steps=5)
     dagger = DaggerConfig(rounds=0)
-    monkeypatch.setitem(configs.PRESETS["dagger"], "tiny", TrainConfig(student, dagger))
+    monkeypatch.setitem(
+        configs.PRESETS["dagger"], "tiny", ImitationConfig(student, dagger)
+    )
     words = [
         *COMMAND,
         "--out",
@@ -163,7 +167,7 @@ def test_a_study_trains_one_policy_for_each_of_its_variants(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     student = config(inputs=InputConfig(image_size=16), demos=2, updates=2, hold_steps=5)
-    monkeypatch.setitem(configs.PRESETS["bc"], "tiny", TrainConfig(student))
+    monkeypatch.setitem(configs.PRESETS["bc"], "tiny", ImitationConfig(student))
     monkeypatch.setitem(VARIANTS, "demo_count", VARIANTS["demo_count"][:2])
     out = tmp_path / "study"
     words = ["reproduce", "demo_count", *COMMAND[2:], "--out", str(out), "--worlds", "2"]
@@ -223,7 +227,7 @@ def test_choices_share_data_where_they_need_the_same(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     student = config(inputs=InputConfig(image_size=16), demos=1, updates=9, hold_steps=5)
-    monkeypatch.setitem(configs.PRESETS["bc"], "tiny", TrainConfig(student))
+    monkeypatch.setitem(configs.PRESETS["bc"], "tiny", ImitationConfig(student))
     kept = ("chunk_1", "whole_episodes", "px_64")
     words = [
         "reproduce",

@@ -13,13 +13,13 @@ from lerobot.configs.types import FeatureType, PolicyFeature
 from lerobot.envs.configs import EnvConfig
 from lerobot.utils.constants import ACTION, OBS_ENV_STATE, OBS_IMAGES, OBS_STATE
 
-from mjhab.integrations.lerobot import CAMERAS, FPS, LeRobotEnv, LeRobotOptions
+from mjhab.integrations.lerobot import CAMERAS, FPS, LeRobotEnv
 
 
 @EnvConfig.register_subclass("mjhab")
 @dataclass
 class MjhabEnvConfig(EnvConfig):
-    """Options of `mjhab.integrations.lerobot.LeRobotOptions`."""
+    """Options of `mjhab.integrations.lerobot.LeRobotEnv`."""
 
     task: str | None = "set_table"
     fps: int = FPS
@@ -63,16 +63,15 @@ class MjhabEnvConfig(EnvConfig):
     @property
     def gym_kwargs(self) -> dict[str, Any]:
         """Options of one environment."""
-        options = LeRobotOptions(
-            task=self.task or "set_table",
-            subtask=self.subtask,
-            target=self.target,
-            split=self.split,
-            actions=self.actions,
-            image_size=self.image_size,
-            seed=self.seed,
-        )
-        return {"options": options}
+        return {
+            "task": self.task or "set_table",
+            "subtask": self.subtask,
+            "target": self.target,
+            "split": self.split,
+            "actions": self.actions,
+            "camera_size": self.image_size,
+            "seed": self.seed,
+        }
 
     def create_envs(
         self, n_envs: int, use_async_envs: bool = False

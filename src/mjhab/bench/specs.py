@@ -11,19 +11,23 @@ from mjhab.config.env_spec import PROFILE, EnvSpec, env_options
 from mjhab.core.typed.bounds import Bound, Output, Positive
 from mjhab.core.typed.flags import Flag
 
-Worlds = Annotated[tuple[int, ...], Bound(1, 65_536, empty=False)]
+
+@dataclass(frozen=True)
+class SweepSpec(EnvSpec):
+    """A measurement that is repeated with several numbers of worlds."""
+
+    worlds: Annotated[tuple[int, ...], Bound(1, 65_536, empty=False)] = (16,)
+    """Numbers of parallel worlds, measured one after the other."""
 
 
 @dataclass(frozen=True)
-class EnvBenchSpec(EnvSpec):
+class EnvBenchSpec(SweepSpec):
     """Measure an environment: steps per second compared with the bare engine, time per stage, memory, cold start."""
 
     WHAT: ClassVar[str] = "a bench"
 
     id: Annotated[str, Flag("env", "ID")] = "mjhab/PickSubtaskTrain-v1"
     """The environment id (see: mjhab envs list)."""
-    worlds: Worlds = (16,)
-    """Numbers of parallel worlds, measured one after the other."""
     steps: Positive = 40
     """Control steps per block; blocks of engine and environment alternate."""
     rounds: Positive = 7
@@ -99,7 +103,7 @@ class ExpertsSpec(EnvSpec):
 
 
 @dataclass(frozen=True)
-class InteractSpec(EnvSpec):
+class InteractSpec(SweepSpec):
     """The paper's Interact benchmark: 200 control steps sweep the arm through five objects, two cameras each step.
 
     `mjhab bench interact --backend warp --worlds 64 256 1024 4096 --no-render`
@@ -109,8 +113,6 @@ class InteractSpec(EnvSpec):
 
     WHAT: ClassVar[str] = "a bench"
 
-    worlds: Worlds = (16,)
-    """Numbers of worlds, measured one after the other."""
     seeds: Positive = 10
     """Number of repetitions, named seeds as in the paper; nothing in the benchmark is random."""
     no_render: bool = False

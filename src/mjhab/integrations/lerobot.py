@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import gymnasium
@@ -13,7 +12,7 @@ from gymnasium import spaces
 import mjhab.envs as envs
 from mjhab.core.errors import UsageError
 from mjhab.envs.observations.entry import ObsEntry
-from mjhab.envs.observations.modes import STATE_KEY, camera_key
+from mjhab.envs.observations.modes import STATE_KEY, camera_key, image_size
 from mjhab.envs.observations.state import state_observation, state_table, unsensed_table
 from mjhab.evaluation.served.action_spaces import ActionReader, space_named
 
@@ -25,25 +24,6 @@ MAX_CHAIN_STEPS = 8000
 """Bounds [control steps] that no episode reaches: the environment ends each at its own horizon."""
 
 
-@dataclass(frozen=True)
-class LeRobotOptions:
-    """What to do, and where; see `config.env.EnvConfig`.
-
-    ``subtask`` "" is the whole task. ``actions``: an action space of `evaluation.served.action_spaces`. ``profile``:
-    that of the exported data ("" for the default), so that axes of objects and joint angles are told as there.
-    ``image_size`` [px]. ``seed``: of the episodes; the seed that a reset is given is the index of its episode.
-    """
-
-    task: str = "set_table"
-    subtask: str = "pick"
-    target: str = ""
-    split: str = "val"
-    actions: str = "joint"
-    profile: str = ""
-    image_size: int = 128
-    seed: int = 0
-
-
 class LeRobotEnv(gymnasium.Env):
     """One world with the observations, attributes and info that LeRobot's evaluation reads.
 
@@ -51,6 +31,12 @@ class LeRobotEnv(gymnasium.Env):
     own sensors tell; ``environment_state`` (11,), what only the simulation knows (object, goal, grasp). In exported
     data sets they are ``observation.state`` and ``observation.environment_state``. ``info``: ``is_success``, whether
     the episode succeeded so far. ``task_description`` is the instruction of the active subtask.
+
+    Args:
+        actions: an action space of `evaluation.served.action_spaces`.
+        **options: fields of `config.env.EnvConfig`, Pick in homes of val by default; ``subtask`` "" is the whole task.
+            ``profile`` is that of the exported data, so that axes of objects and joint angles are told as there.
+            ``seed`` is that of the episodes; the seed that a reset is given is the index of its episode.
 
     Raises:
         UsageError: an unknown name among the options.
@@ -61,35 +47,27 @@ class LeRobotEnv(gymnasium.Env):
         "render_fps": FPS,
     }  # type: ignore[misc]
 
-    def __init__(self, options: LeRobotOptions | None = None) -> None:
-        options = options or LeRobotOptions()
-        self.options = options
+    def __init__(self, actions: str = "joint", **options: Any) -> None:
         self.render_mode = "rgb_array"
         self._env: Any = envs.make(
-            task=options.task,
-            subtask=options.subtask,
-            target=options.target,
-            split=options.split,
-            profile=options.profile or None,
+            **{"subtask": "pick", "split": "val", **options},
             num_envs=1,
             threads=1,
             obs_mode="rgb",
-            camera_size=options.image_size,
-            control_mode=space_named(options.actions).control_mode,
+            control_mode=space_named(actions).control_mode,
             autoreset="disabled",
         )
+        config = self._env.config
         robot = self._env.layout.robot
         self._own = state_table(robot, own=True)
         self._unsensed = unsensed_table(robot)
-        self._reader = ActionReader(options.actions, self._env.action_table)
+        self._reader = ActionReader(actions, self._env.action_table)
         self._index = -1
         self._success = False
-        self._max_episode_steps = (
-            MAX_SUBTASK_STEPS if options.subtask else MAX_CHAIN_STEPS
-        )
+        self._max_episode_steps = MAX_SUBTASK_STEPS if config.subtask else MAX_CHAIN_STEPS
         self.task_description = ""
-        self.task = f"{options.task} {options.subtask}".strip()
-        shape = (options.image_size, options.image_size, 3)
+        self.task = f"{config.task} {config.subtask}".strip()
+        shape = (*image_size(config.camera_size), 3)
         image = spaces.Box(0, 255, shape, np.uint8)
         self.observation_space = spaces.Dict(
             {
@@ -109,7 +87,7 @@ class LeRobotEnv(gymnasium.Env):
         super().reset(seed=seed)
         self._index = self._index + 1 if seed is None else seed
         chosen = {"episode": np.array([self._index]), "reset_mask": np.ones(1, bool)}
-        obs, info = self._env.reset(seed=self.options.seed, options=chosen)
+        obs, info = self._env.reset(seed=self._env.config.seed, options=chosen)
         self._success = False
         return self._converted(obs, info)
 

@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 from mjhab.core.errors import UsageError, unknown_name
 from mjhab.core.typed.bounds import Bound
 from mjhab.core.typed.flags import mark_of
-from mjhab.learning.configs import TrainConfig
+from mjhab.learning.configs import ImitationConfig
 
 TRUTH = {"true": True, "false": False}
 FIXED = ("algorithm", "preset")
@@ -93,7 +93,7 @@ def settable(config: Any) -> dict[str, Any]:
 def _full(config: Any, name: str) -> str:
     """The name of a field with all its parts: those of the student are named without it."""
     own = {field.name for field in dataclasses.fields(config)}
-    inside = isinstance(config, TrainConfig) and name.partition(".")[0] not in own
+    inside = isinstance(config, ImitationConfig) and name.partition(".")[0] not in own
     return f"{STUDENT}.{name}" if inside else name
 
 

@@ -209,7 +209,7 @@ class DaggerConfig:
 
 
 @dataclass(frozen=True)
-class TrainConfig:
+class ImitationConfig:
     """Everything that determines the result of a run except the task, the data and the seed."""
 
     student: StudentConfig = field(default_factory=StudentConfig)
@@ -313,29 +313,31 @@ STATE = StudentConfig(
 )
 """No images: the 42-D state and the velocity of the base, from an expert disturbed by noise."""
 
-PRESETS: dict[str, dict[str, TrainConfig]] = {
+PRESETS: dict[str, dict[str, ImitationConfig]] = {
     BC: {
-        "small": TrainConfig(SMALL),
-        "quick": TrainConfig(QUICK),
-        "state": TrainConfig(STATE),
-        "paper": TrainConfig(PAPER_BC),
+        "small": ImitationConfig(SMALL),
+        "quick": ImitationConfig(QUICK),
+        "state": ImitationConfig(STATE),
+        "paper": ImitationConfig(PAPER_BC),
     },
     FLOW: {
-        "flow": TrainConfig(FLOW_SMALL),
-        "quick": TrainConfig(
+        "flow": ImitationConfig(FLOW_SMALL),
+        "quick": ImitationConfig(
             dataclasses.replace(FLOW_SMALL, preset="quick", demos=200, updates=8000)
         ),
     },
     ACT: {
-        "act": TrainConfig(ACT_SMALL),
-        "quick": TrainConfig(
+        "act": ImitationConfig(ACT_SMALL),
+        "quick": ImitationConfig(
             dataclasses.replace(ACT_SMALL, preset="quick", demos=200, updates=8000)
         ),
     },
-    DIFFUSION: {"paper_dp": TrainConfig(PAPER_DP)},
+    DIFFUSION: {"paper_dp": ImitationConfig(PAPER_DP)},
     DAGGER: {
-        "small": TrainConfig(SMALL, DaggerConfig(rounds=10, episodes=200, updates=4000)),
-        "quick": TrainConfig(
+        "small": ImitationConfig(
+            SMALL, DaggerConfig(rounds=10, episodes=200, updates=4000)
+        ),
+        "quick": ImitationConfig(
             dataclasses.replace(QUICK, updates=3000),
             DaggerConfig(
                 rounds=5,
@@ -346,7 +348,7 @@ PRESETS: dict[str, dict[str, TrainConfig]] = {
                 final_updates=1500,
             ),
         ),
-        "state": TrainConfig(
+        "state": ImitationConfig(
             dataclasses.replace(STATE, demos=400, updates=10_000),
             DaggerConfig(
                 rounds=5,
@@ -357,10 +359,10 @@ PRESETS: dict[str, dict[str, TrainConfig]] = {
                 final_updates=20_000,
             ),
         ),
-        "flow": TrainConfig(
+        "flow": ImitationConfig(
             FLOW_SMALL, DaggerConfig(rounds=10, episodes=200, updates=4000)
         ),
-        "act": TrainConfig(
+        "act": ImitationConfig(
             ACT_SMALL, DaggerConfig(rounds=10, episodes=200, updates=4000)
         ),
     },
@@ -368,7 +370,7 @@ PRESETS: dict[str, dict[str, TrainConfig]] = {
 """Presets by algorithm and name; the first preset of an algorithm is its default."""
 
 
-def preset_of(algorithm: str, name: str = "") -> TrainConfig:
+def preset_of(algorithm: str, name: str = "") -> ImitationConfig:
     """Return a preset of an algorithm; without a name, its default preset.
 
     Raises:

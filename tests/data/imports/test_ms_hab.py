@@ -15,8 +15,9 @@ import mjhab
 from mjhab.cli.main import main
 from mjhab.core.conventions.names import PUBLISHED
 from mjhab.core.errors import UsageError
-from mjhab.data.imports.ms_hab import ABSENT, Origin, import_ms_hab
+from mjhab.data.imports.ms_hab import ABSENT, import_ms_hab
 from mjhab.data.imports.ms_hab_layout import ACTIONS, SCANNED_YAWS
+from mjhab.data.imports.origin import Origin
 from mjhab.data.record.verify import verify
 from mjhab.data.select.dataset import Normalization, Window, WindowDataset
 from mjhab.data.select.query import Filter

@@ -9,7 +9,7 @@ from typing import Any
 from mjhab.cli.output import Listing, report
 from mjhab.core.files.cache import write_atomic
 from mjhab.core.progress import late_bar, progress_bar
-from mjhab.data.imports.ms_hab import ABSENT, Origin, import_ms_hab
+from mjhab.data.imports.ms_hab import ABSENT, import_ms_hab
 from mjhab.data.select import sets
 from mjhab.data.select.facts import FUNCTIONS, facts, target_of
 from mjhab.data.select.query import PRESETS
@@ -184,11 +184,10 @@ def pack_files(spec: PackSpec, json: bool) -> int:
 
 def import_files(spec: ImportSpec, json: bool) -> int:
     """Read the data of another system."""
-    origin = Origin(spec.task, spec.split)
     done = []
     for path in spec.files:
         with late_bar(path.name) as begin:
-            done.append(import_ms_hab(path, spec.out, origin, begin))
+            done.append(import_ms_hab(path, spec.out, spec.origin, begin))
     episodes = sum(each.episodes for each in done)
     frames = sum(each.frames for each in done)
     present = sum(each.present for each in done)

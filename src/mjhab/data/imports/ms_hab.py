@@ -19,7 +19,7 @@ import numpy as np
 
 from mjhab.core.arithmetic.sums import ordered_sum
 from mjhab.core.conventions.names import OBJECT_AXES, SCAN_AXES
-from mjhab.core.errors import UsageError, unknown_name
+from mjhab.core.errors import UsageError
 from mjhab.core.files.reading import parse_json, read_bytes, reason
 from mjhab.data.imports.ms_hab_layout import (
     ACTIONS,
@@ -33,6 +33,7 @@ from mjhab.data.imports.ms_hab_layout import (
     from_verbose,
 )
 from mjhab.data.imports.ms_hab_trajectory import trajectory_arrays, trajectory_ending
+from mjhab.data.imports.origin import Origin
 from mjhab.data.store.episode_data import EpisodeData, RunInfo
 from mjhab.data.store.hdf5 import group, read_attributes
 from mjhab.data.store.older.object_axes import shown_objects
@@ -59,7 +60,6 @@ ABSENT = (
 ARRAYS = ("actions", "terminated", "truncated", "success", "fail", "rewards")
 GROUPS = ("obs/agent", "obs/extra")
 """Datasets and groups that every trajectory must hold."""
-SPLITS = ("train", "val", "test")
 LINKS = {"fridge": "fridge/top_door", "kitchen_counter": "kitchen_counter/drawer3"}
 """The link of each piece of furniture that MS-HAB opens and closes (mshab/utils/gen/gen_task_plans.py)."""
 
@@ -73,20 +73,6 @@ class Imported:
     present: int
     shard: Path
     absent: tuple[str, ...] = ABSENT
-
-
-@dataclass(frozen=True)
-class Origin:
-    """Task and split of a file's episodes, which the file does not contain. task: None takes it from the folder."""
-
-    task: str | None = None
-    split: str = "train"
-
-    def __post_init__(self) -> None:
-        if self.task is not None:
-            TASKS.check(self.task)
-        if self.split not in SPLITS:
-            raise unknown_name("split", self.split, SPLITS)
 
 
 def import_ms_hab(

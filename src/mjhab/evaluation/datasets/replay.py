@@ -104,11 +104,12 @@ def _maker(spec: ReplaySpec) -> Callable[[RunInfo], RecordedEnv]:
     sight: dict[str, Any] = {"obs_mode": "state"}
     if spec.render is not None:
         drawn = spec.render if robot_cameras != () else "state"
-        sight = {"obs_mode": drawn, "camera_size": spec.camera_size}
+        sight = {"obs_mode": drawn, "camera_size": spec.asked.camera_size}
         if robot_cameras:
             sight["cameras"] = robot_cameras
 
     def make_env(run: RunInfo) -> RecordedEnv:
-        return recorded_env(run, **sight, num_envs=spec.worlds, threads=spec.threads)
+        asked = spec.asked
+        return recorded_env(run, **sight, num_envs=asked.num_envs, threads=asked.threads)
 
     return make_env

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
 
-from mjhab.config.env import SPLITS
 from mjhab.core.errors import UsageError, unknown_name
 from mjhab.core.typed.bounds import SEED, Bound, Output
 from mjhab.core.typed.flags import Flag
 from mjhab.core.typed.options import take_options
+from mjhab.data.imports.origin import Origin
 from mjhab.data.store.packing import SHARD_MB
 from mjhab.evaluation.datasets.specs import RecordedSpec, SelectedSpec
 
@@ -157,19 +157,13 @@ class ImportSpec:
     """The files to read."""
     out: Annotated[Path, Flag(metavar="FOLDER"), Output()]
     """The folder of shards; <task>/<subtask>/<name>.h5 in it are made or extended."""
-    task: Annotated[
-        str | None, Flag(shown="default: the folder above that of the subtask")
-    ] = None
-    """Task of the files."""
-    split: Annotated[str, Flag(metavar="train|val|test")] = "train"
-    """Split of the homes, if the files do not contain it; the published data are of train."""
+    origin: Origin = field(default_factory=Origin)
+    """Task and split of the episodes."""
 
     def __post_init__(self) -> None:
         take_options(self)
         if self.format not in IMPORTS:
             raise unknown_name("format", self.format, IMPORTS)
-        if self.split not in SPLITS:
-            raise unknown_name("split", self.split, SPLITS)
         if not self.files:
             raise UsageError(
                 "name the files to import, as in: mjhab data import ms_hab 024_bowl.h5 --out runs/imported"

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Self, cast
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Self, cast
 
+from mjhab.config.env_spec import EnvSpec, env_options
 from mjhab.core.errors import UsageError, unknown_name
 from mjhab.core.typed.bounds import Bound, Output
 from mjhab.core.typed.flags import Flag
@@ -42,7 +43,7 @@ class RecordedSpec:
             UsageError: an option is unknown or invalid; see the class.
             TypeError: an option without default is missing.
         """
-        known = {field.name for field in dataclasses.fields(cls)}
+        known = {option.name for option in dataclasses.fields(cls)}
         for name in options:
             if name not in known:
                 raise unknown_name("option", name, known)
@@ -142,7 +143,7 @@ class ManiskillSpec(ExportSpec):
 
 
 @dataclass(frozen=True, kw_only=True)
-class ReplaySpec(SelectedSpec):
+class ReplaySpec(SelectedSpec, EnvSpec):
     """Simulate recorded actions again and compare every bit (--verify), or render recorded states (--render).
 
     `mjhab replay runs/pick --verify`
@@ -152,6 +153,8 @@ class ReplaySpec(SelectedSpec):
     Raises:
         UsageError: an option is invalid, or options exclude each other.
     """
+
+    WHAT: ClassVar[str] = "a replay"
 
     verify: bool = False
     """Simulate the actions on the CPU and compare positions and velocities of every step; fails unless all agree."""
@@ -167,19 +170,35 @@ class ReplaySpec(SelectedSpec):
         tuple[str, ...] | None, Flag(metavar="NAME ...", shown="default: all")
     ] = None
     """With --render: cameras of the robot, and follow, a camera behind the robot (colour only)."""
-    camera_size: Annotated[
-        int | tuple[int, int], Flag(metavar="N|HEIGHT WIDTH"), Bound(1, 4096)
-    ] = 128
-    """With --render: side of the images, or height and width [px]."""
     rgb: Annotated[str, Flag(metavar="png|jpeg")] = "png"
     """With --render: format of colour images; png is lossless."""
-    worlds: Annotated[int, Bound(1, 65_536)] = 8
-    """Number of episodes simulated, or frames rendered, in parallel. Changes the speed, never the results."""
-    threads: Annotated[int, Bound(most=1024)] = 0
-    """Threads; 0 takes all cores."""
+    env: Annotated[
+        Mapping[str, Any],
+        env_options(
+            "num_envs",
+            "camera_size",
+            "threads",
+            docs={
+                "num_envs": "Number of episodes simulated, or frames rendered, in parallel. Changes the speed, never "
+                "the results.",
+                "camera_size": "With --render: side of the images, or height and width [px].",
+            },
+            num_envs=8,
+        ),
+    ] = field(default_factory=dict)
+    """Options of the environment, fields of `EnvConfig`; all others are those of the recorded run."""
+
+    @classmethod
+    def of(cls, places: PlacesLike, **options: Any) -> Self:
+        """See `RecordedSpec.of`; environment options by their names, too, as in `EnvSpec.of`."""
+        own = {option.name for option in dataclasses.fields(cls)}
+        further = {name: options.pop(name) for name in {*options} - own}
+        env = {**options.pop("env", {}), **further}
+        return super().of(places, **options, env=env)
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        self._take_env()
         if self.verify == (self.render is not None):
             raise UsageError(
                 "say what to do, one of the two: --verify, or --render depth (or rgb, rgbd, ...)."
@@ -198,7 +217,7 @@ class ReplaySpec(SelectedSpec):
                 "--render needs --out FILE.h5: the recorded shard is not changed."
             )
         mode_outputs(render)
-        image_size(self.camera_size)
+        image_size(self.asked.camera_size)
         ImageFormat(self.rgb)
         if FOLLOW in (self.cameras or ()) and "rgb" not in render:
             raise UsageError(

@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Annotated, Any
 
-from mjhab.config.env import TrainConfig as TrainEnvConfig
+from mjhab.config.env import TrainConfig
 from mjhab.core.errors import UsageError, unknown_name
 from mjhab.core.typed.bounds import Bound
 from mjhab.learning.configs import (
@@ -228,7 +228,7 @@ class ReinforcementConfig:
     episode_pool: FromZero = 0
     force_ends: bool = False
     force_cost: float = 0.0
-    reward_mode: str = TrainEnvConfig.reward_mode
+    reward_mode: str = TrainConfig.reward_mode
     success_ends: bool = False
     stillness: str = ""
     checkpoint_samples: int = 50_000

@@ -49,12 +49,16 @@ class Round:
 
 
 def make_env(
-    scene: Scene, view: dict[str, Any], means: Resources, collected: Round | None = None
+    scene: Scene,
+    view: dict[str, Any],
+    resources: Resources,
+    collected: Round | None = None,
 ) -> SequentialTaskEnv:
     """Make the environment of a scene with a student's observations.
 
     Args:
-        scene: environment options. view: observation options, see `Layout.env_options`. means: resources.
+        scene: environment options. view: observation options, see `Layout.env_options`.
+        resources: processes and worlds.
         collected: round that sets the length of the episodes; None takes that of evaluations.
     """
     from mjhab.envs import make
@@ -65,7 +69,10 @@ def make_env(
             "overrides": {"hold_steps": collected.hold_steps}
         }
     return make(
-        **options, num_envs=means.worlds, threads=means.threads, autoreset="disabled"
+        **options,
+        num_envs=resources.worlds,
+        threads=resources.threads,
+        autoreset="disabled",
     )
 
 
@@ -86,7 +93,8 @@ class Collector:
     """Collects the data sets of rounds, in this process or with several workers.
 
     Args:
-        scene: environment options. view: observation options of the student. means: resources. seed: of the run.
+        scene: environment options. view: observation options of the student.
+        resources: processes and worlds. seed: of the run.
         ray: address of a Ray cluster whose actors are the workers; "" uses processes of this machine.
     """
 
@@ -94,13 +102,13 @@ class Collector:
         self,
         scene: Scene,
         view: dict[str, Any],
-        means: Resources,
+        resources: Resources,
         seed: int,
         ray: str = "",
     ) -> None:
         self._scene = scene
         self._view = view
-        self._means = means
+        self._resources = resources
         self._seed = seed
         self._ray = ray
         self._keeper = StageKeeper()
@@ -120,11 +128,11 @@ class Collector:
             UsageError: the folder holds other data, or no episode succeeded.
             MjhabError: a worker failed, or the disk is full.
         """
-        alone = self._means.workers == 1 and not self._ray
+        alone = self._resources.workers == 1 and not self._ray
         build = self._keeper.stage if alone else build_stage
         images = ImageFormat() if self._view.get("cameras") else None
         spec = WorkerSpec(
-            functools.partial(build, self._scene, self._view, self._means, wanted),
+            functools.partial(build, self._scene, self._view, self._resources, wanted),
             round_seed(self._seed, wanted.number),
             SUCCESSES,
             True,
@@ -136,9 +144,14 @@ class Collector:
         }
         config = {"scene": asdict(self._scene), "seed": self._seed, "round": collected}
         job = Job(
-            spec, config, out, wanted.episodes, self._means.workers, self._means.worlds
+            spec,
+            config,
+            out,
+            wanted.episodes,
+            self._resources.workers,
+            self._resources.worlds,
         )
-        pool = make_pool(0 if alone else self._means.workers, self._ray)
+        pool = make_pool(0 if alone else self._resources.workers, self._ray)
         standing = generate(job, pool, tell, stopped, resume=True)
         if standing.complete and not standing.kept:
             raise UsageError(
@@ -151,14 +164,14 @@ class Collector:
         self, wanted: Round, enough: float, clock: Callable[[], float]
     ) -> float | None:
         """Wall time of one episode of a round in every world of this process, see `budget.wave_seconds`."""
-        stage = self._keeper.stage(self._scene, self._view, self._means, wanted)
+        stage = self._keeper.stage(self._scene, self._view, self._resources, wanted)
         env = cast("SequentialTaskEnv", stage.env)
         horizon = (
             wanted.horizon or limits_of(env.task_config, self._scene.subtask).horizon
         )
         seed = round_seed(self._seed, wanted.number)
         seconds = wave_seconds(env, stage.policy, seed, enough, horizon, clock)
-        if self._means.workers > 1 or self._ray:
+        if self._resources.workers > 1 or self._ray:
             # The workers make environments of their own.
             self._keeper = StageKeeper()
         return seconds
@@ -170,13 +183,13 @@ def round_seed(seed: int, number: int) -> int:
 
 
 def build_stage(
-    scene: Scene, view: dict[str, Any], means: Resources, collected: Round
+    scene: Scene, view: dict[str, Any], resources: Resources, collected: Round
 ) -> Stage:
     """Make the environment and policy of a worker; called in the worker's process."""
     import torch
 
-    torch.set_num_threads(max(1, means.threads))
-    env = make_env(scene, view, means, collected)
+    torch.set_num_threads(max(1, resources.threads))
+    env = make_env(scene, view, resources, collected)
     return stage_in(env, collected)
 
 
@@ -212,17 +225,17 @@ class StageKeeper:
         self._made_of: Any = None
 
     def stage(
-        self, scene: Scene, view: dict[str, Any], means: Resources, collected: Round
+        self, scene: Scene, view: dict[str, Any], resources: Resources, collected: Round
     ) -> Stage:
         """Make the stage of a round."""
         made_of = (
             scene,
             tuple(sorted(view.items())),
-            means,
+            resources,
             collected.horizon,
             collected.hold_steps,
         )
         if self._env is None or self._made_of != made_of:
-            self._env = make_env(scene, view, means, collected)
+            self._env = make_env(scene, view, resources, collected)
             self._made_of = made_of
         return stage_in(self._env, collected)

@@ -132,11 +132,11 @@ def evaluation_row(
 class Evaluations:
     """Scene, resources and episodes of a run's evaluations; all evaluations of a run use the same episodes.
 
-    means: processes and threads. seed: of the run. tell: called with the number of finished episodes.
+    resources: processes and threads. seed: of the run. tell: called with the number of finished episodes.
     """
 
     scene: Scene
-    means: Resources
+    resources: Resources
     seed: int
     tell: Callable[[int], object] = bool
 
@@ -155,8 +155,8 @@ class Evaluations:
             assets=scene.assets,
             home=scene.home or None,
             episodes=episodes,
-            worlds=self.means.worlds,
-            threads=self.means.threads,
+            worlds=self.resources.worlds,
+            threads=self.resources.threads,
             seed=EVALUATION_SEED + self.seed,
             env=scene.apart_from_profile(),
             films=films,

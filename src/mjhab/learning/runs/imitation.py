@@ -54,7 +54,7 @@ class ImitationSession(Session):
             torch.set_num_threads(threads)
         super().__init__(spec, folder)
         self.config = spec.config.student
-        self.judging = spec.means
+        self.judging = spec.resources
         self.sources: list[Demonstrations] = []
         if self.saved is not None:
             # An older version began the run with other conventions, perhaps; its weights keep them.
@@ -67,7 +67,9 @@ class ImitationSession(Session):
                 self.trainer.restore(dict(self.saved.tensors), self.state.updates)
         self.settle(layout)
         self.collectors = [
-            Collector(scene, layout.env_options(), spec.means, spec.seed, spec.ray or "")
+            Collector(
+                scene, layout.env_options(), spec.resources, spec.seed, spec.ray or ""
+            )
             for scene in self.scenes
         ]
         self._saved_at = time.perf_counter()
@@ -131,7 +133,7 @@ class ImitationSession(Session):
     def load(self, places: Path | Sequence[Path], where: Filter | None = None) -> None:
         """Add demonstrations to the training data; the first ones added determine the normalizers."""
         self.log.show({"phase": "reading demonstrations"})
-        workers = self.spec.means.workers
+        workers = self.spec.resources.workers
         data = load_demonstrations(
             places,
             self.layout,
@@ -177,7 +179,7 @@ class ImitationSession(Session):
             if len(self.scenes) > 1:
                 phase += f", {scene.name}"
 
-            pace = EpisodeClock(self.spec.means.at_once)
+            pace = EpisodeClock(self.spec.resources.at_once)
 
             def tell(
                 now: Standing, phase: str = phase, pace: EpisodeClock = pace
@@ -217,7 +219,7 @@ class ImitationSession(Session):
         kind = {
             "scenes": [asdict(scene) for scene in self.scenes],
             "view": self.layout.env_options(),
-            "means": asdict(self.spec.means),
+            "resources": asdict(self.spec.resources),
             "style": wanted.style,
             "hold_steps": wanted.hold_steps,
         }
@@ -226,7 +228,7 @@ class ImitationSession(Session):
         if self.expect(FirstUpdate(work, left, less, of_expert=True), kind) or not left:
             return
         self.log.show({"phase": "timing the expert"})
-        at_once = self.spec.means.at_once
+        at_once = self.spec.resources.at_once
         enough = self.time.room * at_once / left
         wave = self.collectors[0].wave_seconds(wanted, enough, lambda: self.log.seconds)
         if wave is not None:

@@ -26,7 +26,7 @@ from mjhab.learning.configs import (
     DAGGER,
     DIFFUSION,
     FLOW,
-    TrainConfig,
+    ImitationConfig,
     preset_of,
 )
 from mjhab.tasks.household.registry import TASKS
@@ -142,7 +142,7 @@ class TrainSpec(EnvSpec):
     preset: Annotated[
         Any, Flag(metavar="NAME", kind=str, shown="default: the algorithm's first")
     ] = ""
-    """Named configuration of network and training. In Python also a configuration, such as a `TrainConfig`."""
+    """Named configuration of network and training. In Python also a configuration, such as a `ImitationConfig`."""
     set: Annotated[
         tuple[str, ...], Flag(metavar="NAME=VALUE ...", shown="default: none")
     ] = ()
@@ -286,12 +286,12 @@ class ImitationSpec(TrainSpec):
         _ = self.config, self.scenes
 
     @cached_property
-    def config(self) -> TrainConfig:
+    def config(self) -> ImitationConfig:
         """The preset with the changes of the options, with the cameras of the scene's robot."""
         # Here: the help of a command does not wait for layouts.
         from mjhab.learning.observation.spec import inputs_of_robot
 
-        config: TrainConfig = self._chosen(TrainConfig, preset_of)
+        config: ImitationConfig = self._chosen(ImitationConfig, preset_of)
         inputs = inputs_of_robot(config.student.inputs, self.scene.robot)
         student = dataclasses.replace(config.student, inputs=inputs)
         return dataclasses.replace(config, student=student)
@@ -302,7 +302,7 @@ class ImitationSpec(TrainSpec):
         return (self.scene, *(_also(self.scene, text) for text in self.also))
 
     @property
-    def means(self) -> Resources:
+    def resources(self) -> Resources:
         """Resources."""
         threads = self.asked.threads or max(1, cores() // self.workers)
         return Resources(self.asked.num_envs, self.workers, threads)

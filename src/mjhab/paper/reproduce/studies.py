@@ -7,7 +7,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from mjhab.learning.changes import with_changes
-from mjhab.learning.configs import BC, DIFFUSION, StudentConfig, TrainConfig, preset_of
+from mjhab.learning.configs import (
+    BC,
+    DIFFUSION,
+    ImitationConfig,
+    StudentConfig,
+    preset_of,
+)
 from mjhab.paper.reproduce.rows import TableRow
 from mjhab.paper.reproduce.spec import TRAINED_IN, TableSpec, env_of
 from mjhab.paper.reproduce.variants import STYLES, Imitation
@@ -66,7 +72,7 @@ def train_imitation(
     )
 
 
-def config_of(spec: TableSpec, imitation: Imitation) -> TrainConfig:
+def config_of(spec: TableSpec, imitation: Imitation) -> ImitationConfig:
     """How a policy is trained; the diffusion policy sees images of the size of the request's preset."""
     chosen = preset_of(BC, spec.preset_name)
     if imitation.algorithm != BC:
@@ -77,7 +83,7 @@ def config_of(spec: TableSpec, imitation: Imitation) -> TrainConfig:
         student = dataclasses.replace(
             paper, inputs=inputs, updates=chosen.student.updates
         )
-        chosen = TrainConfig(student)
+        chosen = ImitationConfig(student)
     updates = (f"updates={spec.updates}",) if spec.updates else ()
     return with_changes(chosen, (*imitation.changes, *updates))
 
@@ -110,7 +116,7 @@ def _collected(spec: TableSpec, asked: ImitationSpec, out: Path, name: str) -> P
     inputs = dataclasses.replace(
         preset.inputs, image_size=asked.config.student.inputs.image_size
     )
-    seen = TrainConfig(dataclasses.replace(preset, inputs=inputs))
+    seen = ImitationConfig(dataclasses.replace(preset, inputs=inputs))
     layout = layout_for(dataclasses.replace(asked, preset=seen))
     changes = {**_by_name(preset.style), **_by_name(STYLES[name])}
     hold_steps = asked.config.student.hold_steps
@@ -118,6 +124,6 @@ def _collected(spec: TableSpec, asked: ImitationSpec, out: Path, name: str) -> P
         0, _episodes(spec), hold_steps=hold_steps, style=tuple(changes.values())
     )
     folder = out / _data_folder(asked.config.student, preset, name)
-    collector = Collector(asked.scene, layout.env_options(), asked.means, asked.seed)
+    collector = Collector(asked.scene, layout.env_options(), asked.resources, asked.seed)
     collector.collect(wanted, folder)
     return folder

@@ -77,7 +77,7 @@ class Ppo(nn.Module):
         return [parameter for parameter in every if parameter.requires_grad]
 
     def mean(self, seen: AgentObs) -> Tensor:
-        """Resources (B, A) of the actions."""
+        """Means (B, A) of the actions."""
         return self.distribution(seen).mean
 
     def distribution(self, seen: AgentObs) -> Actions:

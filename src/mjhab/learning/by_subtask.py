@@ -35,7 +35,7 @@ from mjhab.evaluation.resolve import (
     open_policy,
 )
 from mjhab.learning import policy_kind
-from mjhab.rollout.policy import Fallible, Policy, RolloutEnv, Selective
+from mjhab.rollout.policy import Correctable, Fallible, Policy, RolloutEnv, Selective
 from mjhab.tasks.household.registry import TASKS
 from mjhab.tasks.subtasks.registry import SUBTASKS
 
@@ -289,6 +289,12 @@ class PoliciesBySubtask:
             else:
                 actions[mine] = policy.act(obs, about)[mine]
         return actions
+
+    def replace_action(self, actions: np.ndarray) -> None:
+        """Tell that ``actions`` (W, A) are executed instead of those that ``act`` returned last."""
+        for policy in self._policies:
+            if isinstance(policy, Correctable):
+                policy.replace_action(actions)
 
     def fault(self, world: int) -> str:
         """Why the policy that acted last in a world cannot go on, "" if it can."""

@@ -117,6 +117,10 @@ class StudentEnsemble:
     def act(self, obs: Any, info: Mapping[str, Any]) -> np.ndarray:
         """Actions (W, A) float32 in [-1, 1]."""
         actions = np.mean([member.act(obs, info) for member in self.members], axis=0)
+        self.replace_action(actions)
+        return actions
+
+    def replace_action(self, actions: np.ndarray) -> None:
+        """See `StudentPolicy.replace_action`."""
         for member in self.members:
             member.replace_action(actions)
-        return actions

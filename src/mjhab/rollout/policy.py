@@ -89,6 +89,15 @@ class Selective(Protocol):
 
 
 @runtime_checkable
+class Correctable(Protocol):
+    """A policy that can be told that other actions are executed than those it returned: it sees its previous action."""
+
+    def replace_action(self, actions: np.ndarray) -> None:
+        """Tell that ``actions`` (W, A) are executed instead of those that ``act`` returned last."""
+        ...
+
+
+@runtime_checkable
 class Styled(Protocol):
     """A policy that can be asked to act in one way or another."""
 

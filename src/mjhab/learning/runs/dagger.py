@@ -4,19 +4,55 @@ Round 0 is plain imitation of the expert. In every later round the student acts 
 at most `DaggerConfig.longest_prefix`. Then the expert plans from the state reached and finishes the episode; its part
 is added to the demonstrations if the episode succeeds. Training continues with the same network, and a fixed fraction
 of every batch comes from the newest round.
+
+With a teacher, a policy, it is distillation: the teacher demonstrates in round 0; in later rounds the student acts in
+whole episodes, and learns the action that the teacher names in every control step (`relabelling`).
 """
 
 from __future__ import annotations
 
-from typing import Any
+from dataclasses import replace
+from typing import Any, cast
 
+from mjhab.core.errors import UsageError
+from mjhab.data.select.query import Filter
+from mjhab.evaluation.resolve import open_policy
 from mjhab.learning.configs import DaggerConfig
+from mjhab.learning.observation.spec import ObservationSpec
+from mjhab.learning.policy_kind import CAMERA_SIZE, joined
 from mjhab.learning.runs.collection import Round
 from mjhab.learning.runs.imitation import ImitationSession
+from mjhab.learning.runs.specs import DaggerSpec
 
 
 class DaggerSession(ImitationSession):
     """A run of DAgger: imitation in rounds."""
+
+    @property
+    def teachers(self) -> tuple[str, ...]:
+        """The teaching policy of every scene, "" for the expert."""
+        return cast(DaggerSpec, self.spec).teachers
+
+    def views(self, layout: ObservationSpec) -> list[dict[str, Any]]:
+        """See `ImitationSession.views`; what a teacher sees is observed, too.
+
+        Raises:
+            UsageError: the teacher needs another environment, or larger images.
+        """
+        return [_with_teacher(layout.env_options(), spec) for spec in self.teachers]
+
+    def round_in(self, wanted: Round, place: int) -> Round:
+        """See `ImitationSession.round_in`."""
+        teacher = self.teachers[place]
+        if not teacher:
+            return wanted
+        # Episodes end as in evaluation: nobody needs time after a take-over.
+        return replace(wanted, teacher=teacher, style=(), longest=0, horizon=0)
+
+    def load_round(self, number: int, where: Filter | None = None) -> None:
+        """See `ImitationSession.load_round`: of a relabelled student also the episodes that failed."""
+        everything = Filter("true") if number and self.teachers[0] else where
+        super().load_round(number, everything)
 
     @property
     def dagger(self) -> DaggerConfig:
@@ -75,3 +111,21 @@ class DaggerSession(ImitationSession):
             **super().summarize(),
             "rounds": min(self.state.round, self.dagger.rounds),
         }
+
+
+def _with_teacher(view: dict[str, Any], teacher: str) -> dict[str, Any]:
+    """Observation options ``view`` of a student with what a teaching policy needs, "" for the expert.
+
+    Raises:
+        UsageError: the teacher needs another environment, or larger images than the student learns from.
+    """
+    if not teacher:
+        return view
+    needed = open_policy(teacher).facts.env_options
+    both = joined(teacher, [("the student", view), (teacher, needed)])
+    if CAMERA_SIZE in view and both[CAMERA_SIZE] != view[CAMERA_SIZE]:
+        raise UsageError(
+            f"the teacher {teacher} sees images of {both[CAMERA_SIZE]} px, the student of {view[CAMERA_SIZE]} px: give "
+            f"--set inputs.image_size={both[CAMERA_SIZE]}."
+        )
+    return both

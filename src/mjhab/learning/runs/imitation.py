@@ -67,10 +67,8 @@ class ImitationSession(Session):
                 self.trainer.restore(dict(self.saved.tensors), self.state.updates)
         self.settle(layout)
         self.collectors = [
-            Collector(
-                scene, layout.env_options(), spec.resources, spec.seed, spec.ray or ""
-            )
-            for scene in self.scenes
+            Collector(scene, view, spec.resources, spec.seed, spec.ray or "")
+            for scene, view in zip(self.scenes, self.views(layout), strict=True)
         ]
         self._saved_at = time.perf_counter()
 
@@ -158,10 +156,19 @@ class ImitationSession(Session):
             Round(0, config.demos, hold_steps=config.hold_steps, style=config.style)
         )
 
-    def load_round(self, number: int) -> None:
+    def views(self, layout: ObservationSpec) -> list[dict[str, Any]]:
+        """Observation options of the environment that every scene's demonstrations are collected in."""
+        return [layout.env_options()] * len(self.scenes)
+
+    def round_in(self, wanted: Round, place: int) -> Round:
+        """A round in the scene at a place of ``scenes``."""
+        del place
+        return wanted
+
+    def load_round(self, number: int, where: Filter | None = None) -> None:
         """Add the collected demonstrations of a round to the training data."""
         folder = self.folder.data(number)
-        self.load([self.place(folder, scene) for scene in self.scenes])
+        self.load([self.place(folder, name) for name in self.names], where)
 
     def collect(self, wanted: Round) -> None:
         """Collect the missing demonstrations of a round, in every scene, and add them to the training data.
@@ -174,10 +181,10 @@ class ImitationSession(Session):
         tried = 0
         kept = 0
         self._expect(wanted)
-        for scene, collector in zip(self.scenes, self.collectors, strict=True):
+        for place, name in enumerate(self.names):
             phase = f"collecting round {wanted.number}"
             if len(self.scenes) > 1:
-                phase += f", {scene.name}"
+                phase += f", {name}"
 
             pace = EpisodeClock(self.spec.resources.at_once)
 
@@ -190,8 +197,10 @@ class ImitationSession(Session):
                     self.time.measured(seconds)
 
             self.log.show({"phase": phase})
-            out = self.place(self.folder.data(wanted.number), scene)
-            standing = collector.collect(wanted, out, tell, self.time.is_spent)
+            out = self.place(self.folder.data(wanted.number), name)
+            standing = self.collectors[place].collect(
+                self.round_in(wanted, place), out, tell, self.time.is_spent
+            )
             if not standing.complete:
                 raise OutOfTime
             tried += standing.tried
@@ -214,7 +223,7 @@ class ImitationSession(Session):
             BudgetTooSmallError: it tells what is needed.
         """
         out = self.folder.data(wanted.number)
-        made = sum(tried_in(self.place(out, scene)) for scene in self.scenes)
+        made = sum(tried_in(self.place(out, name)) for name in self.names)
         left = max(0, len(self.scenes) * wanted.episodes - made)
         kind = {
             "scenes": [asdict(scene) for scene in self.scenes],
@@ -230,7 +239,8 @@ class ImitationSession(Session):
         self.log.show({"phase": "timing the expert"})
         at_once = self.spec.resources.at_once
         enough = self.time.room * at_once / left
-        wave = self.collectors[0].wave_seconds(wanted, enough, lambda: self.log.seconds)
+        first = self.round_in(wanted, 0)
+        wave = self.collectors[0].wave_seconds(first, enough, lambda: self.log.seconds)
         if wave is not None:
             self.time.check(wave / at_once)
 

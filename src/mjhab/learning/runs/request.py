@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from mjhab.core.errors import UsageError
 from mjhab.core.version import __version__
+from mjhab.evaluation.resolve import open_policy
 from mjhab.learning.demos import goals_of_data, observation_spec_of_data
 from mjhab.learning.observation.spec import (
     ObservationSpec,
@@ -16,7 +17,7 @@ from mjhab.learning.observation.spec import (
     observation_spec_of,
 )
 from mjhab.learning.runs.collection import make_env
-from mjhab.learning.runs.specs import ImitationSpec, Resources
+from mjhab.learning.runs.specs import DaggerSpec, ImitationSpec, Resources
 
 if TYPE_CHECKING:
     from mjhab.envs.sequential import SequentialTaskEnv
@@ -96,7 +97,17 @@ def resolved_config(spec: ImitationSpec) -> dict[str, Any]:
         **config_of(spec, spec.config),
         **({"also": also} if also else {}),
         **({"per_target": spec.per_target} if spec.per_target else {}),
+        **_teachers_of(spec),
     }
+
+
+def _teachers_of(spec: ImitationSpec) -> dict[str, Any]:
+    """Names and hashes of the teaching policies, if there are any."""
+    teachers = spec.teachers if isinstance(spec, DaggerSpec) else ()
+    if not any(teachers):
+        return {}
+    facts = [open_policy(teacher).facts for teacher in teachers]
+    return {"teachers": [{"name": each.name, **each.identity} for each in facts]}
 
 
 def config_of(spec: Any, config: Any) -> dict[str, Any]:

@@ -35,7 +35,7 @@ from mjhab.learning.runs.evaluation import (
 )
 from mjhab.learning.runs.report import render_training_report
 from mjhab.learning.runs.run import Logbook, TrainingFolder
-from mjhab.learning.runs.specs import Resources, Scene, TrainSpec
+from mjhab.learning.runs.specs import Resources, Scene, TrainSpec, scene_names
 from mjhab.learning.runs.time_budget import TimeBudget
 from mjhab.learning.students.student import Student
 from mjhab.rollout.records import EpisodeRecord
@@ -130,6 +130,7 @@ class Session(ABC):
         self.scenes = [
             replace(scene, profile=layout.profile) for scene in self.spec.scenes
         ]
+        self.names = scene_names(self.scenes)
         self.log = Logbook(self.folder, self.state.seconds, self.state.updates)
         self.time = TimeBudget(
             self.spec.budget_seconds,
@@ -275,10 +276,10 @@ class Session(ABC):
         split = self.spec.judged_split if last else self.spec.scene.split
         began = time.perf_counter()
         found = {
-            scene.name: self._evaluate_in(
-                scene, split, episodes, films, self.place(folder, scene)
+            name: self._evaluate_in(
+                scene, split, episodes, films, self.place(folder, name)
             )
-            for scene in self.scenes
+            for name, scene in zip(self.names, self.scenes, strict=True)
         }
         self.judged = EvalResult(split, self.state.student_samples, found)
         spent = time.perf_counter() - began
@@ -306,9 +307,9 @@ class Session(ABC):
         evaluations = Evaluations(judged, self.judging, self.spec.seed, tell)
         return list(evaluations.run(self.folder.student, episodes, films, out).records)
 
-    def place(self, folder: Path, scene: Scene) -> Path:
-        """Where a folder of the run keeps what belongs to a scene: below it, if there are several."""
-        return folder / scene.name.replace("/", ".") if len(self.scenes) > 1 else folder
+    def place(self, folder: Path, name: str) -> Path:
+        """Where a folder of the run keeps what belongs to a scene of ``names``: below it, if there are several."""
+        return folder / name.replace("/", ".") if len(self.names) > 1 else folder
 
     # -- results -----------------------------------------------------------------------------------------------------
 

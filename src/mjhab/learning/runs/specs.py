@@ -6,7 +6,7 @@ Those of reinforcement learning are in `learning.reinforcement.specs`.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -79,6 +79,17 @@ class Scene:
             "robot": self.robot,
         }
         return {name: value for name, value in given.items() if value}
+
+
+def scene_names(scenes: Sequence[Scene]) -> list[str]:
+    """Distinct names of scenes; those of further asset packs have the name of the pack after an @."""
+    names: list[str] = []
+    for scene in scenes:
+        pack = scene.assets
+        place = str(pack["place"] if isinstance(pack, dict) else pack)
+        taken = scene.name in names
+        names.append(f"{scene.name}@{Path(place).name}" if taken else scene.name)
+    return names
 
 
 @dataclass(frozen=True)
@@ -263,6 +274,10 @@ class ImitationSpec(TrainSpec):
     ] = ()
     """Further subtasks that the same student learns, for instance tidy_house/pick set_table/open/fridge/top_door.
     Numbers of episodes are for each of them."""
+    also_assets: Annotated[
+        tuple[str, ...], Flag(metavar="builtin|FOLDER ...", shown="default: none")
+    ] = ()
+    """Further asset packs in which the same student learns all of these subtasks. Numbers of episodes are for each."""
     device: Annotated[str, Flag(metavar="DEVICE")] = "cpu"
     """Device that the network is trained on: cpu, auto, cuda:0, ...; episodes are simulated on the CPU. With auto it
     is the first GPU, if there is one. Only on the CPU do equal runs end with equal bits."""
@@ -298,8 +313,15 @@ class ImitationSpec(TrainSpec):
 
     @property
     def scenes(self) -> tuple[Scene, ...]:
-        """All scenes: that of ``env``, and those of ``also``, which differ in task, subtask and target only."""
-        return (self.scene, *(_also(self.scene, text) for text in self.also))
+        """All scenes: that of ``env``, those of ``also``, which differ in task, subtask and target only, and all of
+        them in the packs of ``also_assets``."""
+        here = (self.scene, *(_also(self.scene, text) for text in self.also))
+        elsewhere = (
+            dataclasses.replace(scene, assets=pack)
+            for pack in self.also_assets
+            for scene in here
+        )
+        return (*here, *elsewhere)
 
     @property
     def resources(self) -> Resources:
@@ -411,3 +433,35 @@ class DaggerSpec(ImitationSpec):
     """Largest number of control steps for which the student acts in the first round with take-overs."""
     prefix_growth: Annotated[Number, Sets("dagger.prefix_growth")] = None
     """Increase of this number per round. If the expert finishes nearly all episodes, a larger value trains faster."""
+    teacher: Annotated[
+        tuple[str, ...], Flag(metavar="POLICY ...", shown="default: the expert")
+    ] = ()
+    """Learn from this policy in place of the expert, named as in `mjhab eval --policy`: it demonstrates, and in later
+    rounds the student acts in whole episodes, in which it names the action to imitate in every control step
+    (distillation). One for all, or one for each: of --subtask, then of --also, then of all these in the packs of
+    --also-assets."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.teacher and (self.style or self.first_prefix or self.prefix_growth):
+            raise UsageError(
+                "style, first_prefix and prefix_growth are of an expert who takes over; a teacher does not: leave them "
+                "out, or the teacher."
+            )
+        if len(self.teacher) not in (0, 1, len(self.scenes)):
+            raise UsageError(
+                f"teacher takes one policy, or one for each of the {len(self.scenes)} subtasks and packs; got "
+                f"{len(self.teacher)}."
+            )
+
+    @property
+    def teachers(self) -> tuple[str, ...]:
+        """The teaching policy of every scene, "" for the expert."""
+        from mjhab.evaluation.resolve import full_spec
+
+        given = self.teacher or ("",)
+        every = given * len(self.scenes) if len(given) == 1 else given
+        return tuple(
+            full_spec(spec, scene.task, scene.subtask, scene.target)
+            for spec, scene in zip(every, self.scenes, strict=True)
+        )

@@ -11,8 +11,13 @@ import pytest
 from mjhab.core.errors import UsageError
 from mjhab.data.store.places import episodes
 from mjhab.learning.checkpoint import load_checkpoint
-from mjhab.learning.runs.intervention import expert_steps
-from mjhab.learning.runs.relabelling import ACTORS, RELABELLED, TEACHER, Relabelling
+from mjhab.learning.runs.intervention import (
+    OF_DISTILLATION,
+    RELABELLED,
+    TEACHER,
+    Relabelling,
+    expert_steps,
+)
 from mjhab.learning.runs.specs import DaggerSpec, scene_names
 from mjhab.learning.train import train
 from tests.learning.test_intervention import Steady
@@ -125,7 +130,7 @@ def test_a_run_learns_from_all_episodes_of_the_student(tmp_path: Path) -> None:
     # Two updates teach nothing: the student fails, and what the teacher would have done is learned.
     assert len(acted) == 1 and not any(e.record.success_once for e in acted)
     for episode in acted:
-        assert tuple(episode.actors) == ACTORS
+        assert tuple(episode.actors) == OF_DISTILLATION
         assert expert_steps(episode).all()
         wanted = episode.array("actions_intended")
         assert np.abs(wanted - episode.array("actions")).max() > 0.1

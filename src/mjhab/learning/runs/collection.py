@@ -21,8 +21,7 @@ from mjhab.evaluation.generate import make_pool
 from mjhab.evaluation.resolve import EXPERT, open_policy
 from mjhab.learning.demos import SUCCESSES
 from mjhab.learning.runs.budget import wave_seconds
-from mjhab.learning.runs.intervention import Intervention
-from mjhab.learning.runs.relabelling import Relabelling
+from mjhab.learning.runs.intervention import Intervention, Relabelling
 from mjhab.learning.runs.specs import Resources, Scene
 from mjhab.tasks.style import Styles
 from mjhab.tasks.subtasks.registry import limits_of
@@ -39,7 +38,7 @@ class Round:
     the student that starts the episodes, None in round 0. horizon: control steps of an episode, 0 for the task's
     horizon. hold_steps: control steps after the outcome, see `TaskConfig.hold_steps`. style: of the expert, see
     `Styles.parse`. teacher: a policy, as for ``--policy``, that labels the student's control steps in place of an
-    expert that takes over, see `relabelling`; "" for the expert.
+    expert that takes over, see `Relabelling`; "" for the expert.
     """
 
     number: int

@@ -6,13 +6,13 @@ is added to the demonstrations if the episode succeeds. Training continues with 
 of every batch comes from the newest round.
 
 With a teacher, a policy, it is distillation: the teacher demonstrates in round 0; in later rounds the student acts in
-whole episodes, and learns the action that the teacher names in every control step (`relabelling`).
+whole episodes, and learns the action that the teacher names in every control step (`intervention.Relabelling`).
 """
 
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any, cast
+from typing import Any
 
 from mjhab.core.errors import UsageError
 from mjhab.data.select.query import Filter
@@ -22,16 +22,10 @@ from mjhab.learning.observation.spec import ObservationSpec
 from mjhab.learning.policy_kind import CAMERA_SIZE, joined
 from mjhab.learning.runs.collection import Round
 from mjhab.learning.runs.imitation import ImitationSession
-from mjhab.learning.runs.specs import DaggerSpec
 
 
 class DaggerSession(ImitationSession):
     """A run of DAgger: imitation in rounds."""
-
-    @property
-    def teachers(self) -> tuple[str, ...]:
-        """The teaching policy of every scene, "" for the expert."""
-        return cast(DaggerSpec, self.spec).teachers
 
     def views(self, layout: ObservationSpec) -> list[dict[str, Any]]:
         """See `ImitationSession.views`; what a teacher sees is observed, too.
@@ -39,11 +33,11 @@ class DaggerSession(ImitationSession):
         Raises:
             UsageError: the teacher needs another environment, or larger images.
         """
-        return [_with_teacher(layout.env_options(), spec) for spec in self.teachers]
+        return [_with_teacher(layout.env_options(), spec) for spec in self.spec.teachers]
 
     def round_in(self, wanted: Round, place: int) -> Round:
         """See `ImitationSession.round_in`."""
-        teacher = self.teachers[place]
+        teacher = self.spec.teachers[place]
         if not teacher:
             return wanted
         # Episodes end as in evaluation: nobody needs time after a take-over.
@@ -51,7 +45,7 @@ class DaggerSession(ImitationSession):
 
     def load_round(self, number: int, where: Filter | None = None) -> None:
         """See `ImitationSession.load_round`: of a relabelled student also the episodes that failed."""
-        everything = Filter("true") if number and self.teachers[0] else where
+        everything = Filter("true") if number and self.spec.teachers[0] else where
         super().load_round(number, everything)
 
     @property

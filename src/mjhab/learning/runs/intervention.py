@@ -1,4 +1,8 @@
-"""Take-over: a student starts an episode, and after a random number of control steps the expert finishes it."""
+"""Who acts while a student learns: it starts an episode and the expert finishes it, or it acts and a policy labels.
+
+A policy can say at any state what it would do, which the scripted expert cannot: it plans, and has to act itself. So of
+a student that a teaching policy labels, whole episodes are learned from, those that fail included.
+"""
 
 from __future__ import annotations
 
@@ -10,12 +14,16 @@ import numpy as np
 from mjhab.core.action_notes import ActionNotes
 from mjhab.core.seeding import stream
 from mjhab.data.store.reading import RecordedEpisode
-from mjhab.rollout.policy import ACTION_SIZE, Policy
+from mjhab.rollout.policy import ACTION_SIZE, Correctable, Policy
 
 STUDENT = "student"
 EXPERT = "expert"
 ACTORS = (STUDENT, EXPERT)
 """Names of the possible actors; every recorded control step has the index of its actor."""
+RELABELLED = "relabelled"
+TEACHER = "teacher"
+OF_DISTILLATION = (RELABELLED, TEACHER)
+"""The same where a teacher labels: its student's steps are learned from, unlike those of `STUDENT`."""
 
 
 class Replanning(Protocol):
@@ -121,6 +129,47 @@ class Intervention:
                     int(episode["seed"]), int(episode["index"]), self._longest
                 )
         self._fresh[:] = False
+
+
+class Relabelling:
+    """A policy that executes the student's actions and notes those of the teacher as the intended ones.
+
+    Args:
+        student: acts; None lets the teacher act, which makes its demonstrations.
+        teacher: names the actions to imitate. It is told what is executed in place of its own actions if it is
+            `Correctable`.
+    """
+
+    name = "relabel"
+
+    def __init__(self, student: Policy | None, teacher: Policy) -> None:
+        self._student = student
+        self._teacher = teacher
+        self._wanted = np.zeros((0, 0), np.float32)
+
+    def reset(self, mask: np.ndarray) -> None:
+        """Begin new episodes in the worlds of ``mask`` (W,)."""
+        self._teacher.reset(mask)
+        if self._student is not None:
+            self._student.reset(mask)
+
+    def act(self, obs: Any, info: Mapping[str, Any]) -> np.ndarray:
+        """Actions (W, A) float32."""
+        self._wanted = self._teacher.act(obs, info)
+        if self._student is None:
+            return self._wanted.copy()
+        actions = self._student.act(obs, info)
+        if isinstance(self._teacher, Correctable):
+            self._teacher.replace_action(actions)
+        return actions
+
+    def notes(self) -> ActionNotes:
+        """The teacher's actions as the intended ones, and who acted."""
+        actor = OF_DISTILLATION.index(TEACHER if self._student is None else RELABELLED)
+        worlds = len(self._wanted)
+        return ActionNotes(
+            self._wanted.copy(), np.full(worlds, actor, np.uint8), OF_DISTILLATION
+        )
 
 
 def prefix_length(seed: int, index: int, longest: int) -> int:

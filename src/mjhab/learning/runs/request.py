@@ -17,7 +17,7 @@ from mjhab.learning.observation.spec import (
     observation_spec_of,
 )
 from mjhab.learning.runs.collection import make_env
-from mjhab.learning.runs.specs import DaggerSpec, ImitationSpec, Resources
+from mjhab.learning.runs.specs import ImitationSpec, Resources
 
 if TYPE_CHECKING:
     from mjhab.envs.sequential import SequentialTaskEnv
@@ -103,10 +103,9 @@ def resolved_config(spec: ImitationSpec) -> dict[str, Any]:
 
 def _teachers_of(spec: ImitationSpec) -> dict[str, Any]:
     """Names and hashes of the teaching policies, if there are any."""
-    teachers = spec.teachers if isinstance(spec, DaggerSpec) else ()
-    if not any(teachers):
+    facts = [open_policy(teacher).facts for teacher in spec.teachers if teacher]
+    if not facts:
         return {}
-    facts = [open_policy(teacher).facts for teacher in teachers]
     return {"teachers": [{"name": each.name, **each.identity} for each in facts]}
 
 

@@ -324,16 +324,12 @@ class ImitationSpec(TrainSpec):
         return (*here, *elsewhere)
 
     @property
-<<<<<<< HEAD
-    def resources(self) -> Resources:
-=======
     def teachers(self) -> tuple[str, ...]:
         """The teaching policy of every scene, "" for the expert."""
         return ("",) * len(self.scenes)
 
     @property
-    def means(self) -> Resources:
->>>>>>> ecf39b8d (Relabelling lies beside the take-over)
+    def resources(self) -> Resources:
         """Resources."""
         threads = self.asked.threads or max(1, cores() // self.workers)
         return Resources(self.asked.num_envs, self.workers, threads)

@@ -20,6 +20,7 @@ from mjhab.experts.planning.link_motions import Frame, LinkMotions
 from mjhab.experts.planning.link_path import LinkPath
 from mjhab.robots.robot import Robot
 
+Motion = motion.Motion
 MOTIONS_TRIED = 16
 """Number of motions whose clearance is checked."""
 MAX_SWING_RAD = 0.045
@@ -45,6 +46,23 @@ AT_REST_RAD = 0.002
 """Largest motion per control step of a door at rest."""
 PRESS_STEPS = 2
 """Control steps for which a closed door must be at rest."""
+ENTER_STEP_M = 0.04
+"""Motion of the hand per control step on the line behind the door."""
+
+
+@dataclass(frozen=True)
+class HandEntry:
+    """A straight motion of the hand to its place behind a door.
+
+    Attributes:
+        in_line: distance of the hand beside its line up to which it moves forward at full speed [m].
+        entered: distance from the end of the line at which the hand has arrived [m].
+        steps: greatest number of control steps.
+    """
+
+    in_line: float
+    entered: float
+    steps: int
 
 
 @dataclass
@@ -82,6 +100,7 @@ def reachable(
     found: LinkMotions,
     angles: np.ndarray,
     back: float = 0.0,
+    stops: bool = False,
 ) -> LinkPath | None:
     """Select the motion that is reached first among those whose whole motion is collision-free in this home.
 
@@ -91,6 +110,7 @@ def reachable(
         found: motions in the plan frame.
         angles: (K,) door angles of their way points [rad].
         back: length of the hand's straight line to the first way point; 0 for none.
+        stops: the route ends before this line; else it may go on to the first way point when the base drives forwards.
 
     Returns:
         The motion in the world, with the route to it; None if there is none.
@@ -105,7 +125,8 @@ def reachable(
     if not len(free):
         return None
     before = withdrawn(view.robot, free[:, 0], back) if back > 0 else None
-    best = approach.best_route(view, free[:, 0], before, link if back > 0 else None)
+    ends = before if stops and before is not None else free[:, 0]
+    best = approach.best_route(view, ends, before, link if back > 0 else None)
     return None if best is None else LinkPath(view.robot, free[best[0]], angles, best[1])
 
 
@@ -136,6 +157,56 @@ def withdrawn(body: Robot, q: np.ndarray, back: float) -> np.ndarray:
         )
     )
     return np.where(good[:, None], found.q[:, 0], q)
+
+
+def from_angle(
+    body: Robot, found: LinkMotions, angles: np.ndarray, start: float
+) -> tuple[LinkMotions, np.ndarray]:
+    """Cut closing motions so that they start at the door angle ``start``; returns them and their angles.
+
+    Motions that start at a smaller angle stay as they are.
+    """
+    k = int(np.searchsorted(-angles, -min(start, angles[0])))
+    if k == 0:
+        return found, angles
+    share = (angles[k - 1] - start) / (angles[k - 1] - angles[k])
+    first = (1.0 - share) * found.q[:, k - 1] + share * found.q[:, k]
+    robot = body.chain
+    steps = ik.travel_steps(robot, body.rest, first, ik.columns(robot))
+    q = np.concatenate([first[:, None], found.q[:, k:]], axis=1)
+    return LinkMotions(q, steps, found.back), np.append(start, angles[k:])
+
+
+def straight_in(view: WorldView, path: LinkPath, entry: HandEntry) -> Motion:
+    """Move the hand straight along its axis to the beginning of a path, behind the edge of an open door.
+
+    The hand moves forward only while it is close to its line: with an error of the base pose it would hit the edge.
+    Returns whether it arrived.
+    """
+    robot = view.robot.chain
+    wish = path.q[0]
+    pos, rot = path.hand_at(float(path.values[0]))
+    for _ in range(entry.steps):
+        here, turn = motion.tcp(view)
+        back = float((pos - here) @ rot[:, 0])
+        aside = pos - here - back * rot[:, 0]
+        off = float(np.linalg.norm(aside))
+        if back < entry.entered:
+            return True
+        slow = float(np.clip(2.0 - off / entry.in_line, 0.0, 1.0))
+        ahead = min(back, ENTER_STEP_M) * slow
+        goal = here + ahead * rot[:, 0] + min(1.0, ENTER_STEP_M / max(off, 1e-9)) * aside
+        aim_rot = ik.straight_line(
+            here[None], pos[None], turn[None], rot[None], 1.0, 0.1
+        )[1]
+        yield motion.hand_action(
+            view,
+            ik.TipGoals(goal[None], aim_rot, ik.columns(robot), wish, "approach"),
+            gripper=motion.CLOSED,
+            drive=approach.base_towards(view, wish),
+            rest_gain=0.1,
+        )
+    return False
 
 
 def coasts(speed: float) -> float:

@@ -11,13 +11,12 @@ import numpy as np
 
 from mjhab.core.timing import STEP_SECONDS
 from mjhab.envs.parts.world_view import JointedLink, WorldView
-from mjhab.experts.arm import ik, motion
+from mjhab.experts.arm import motion
 from mjhab.experts.base.route import follow
 from mjhab.experts.phases import phase
 from mjhab.experts.planning import approach, link_motions, link_path
-from mjhab.experts.planning.link_motions import LinkMotions
 from mjhab.experts.planning.link_path import LinkPath
-from mjhab.experts.skills.doors import motions
+from mjhab.experts.skills.doors import beside_wall, motions
 from mjhab.experts.skills.doors.arc import (
     AJAR_SHARE,
     ARC_STEPS,
@@ -25,32 +24,28 @@ from mjhab.experts.skills.doors.arc import (
     COAST_SPARE_RAD,
     MAX_SWING_RAD,
     PRESS_STEPS,
+    HandEntry,
     Hitch,
     arc_step,
     coasts,
+    from_angle,
     reachable,
+    straight_in,
 )
 from mjhab.experts.skills.doors.motions import HALF_OPEN_SHARE, PRESS_AHEAD_RAD
 from mjhab.experts.skills.doors.sweeping import sweep
 from mjhab.experts.style import style_of
-from mjhab.robots.robot import Robot
 from mjhab.tasks.style import PUSH, SWEEP
 
 Motion = motion.Motion
 SHUT_SHARE = 0.006
 """Share of the range to which a door is pressed shut; success requires 0.01."""
-IN_LINE_M = 0.025
-"""Distance of the hand beside its straight line behind the door up to which it moves forward at full speed."""
-ENTERED_M = 0.04
-"""Distance from the end of that line at which the hand has arrived."""
 STRUCK_RAD = 0.15
 """Angle by which the approach may push the door open; beyond it, the approach is planned again."""
-ENTER_STEP_M = 0.04
-"""Motion of the hand per control step on the line behind the door."""
-ENTER_STEPS = 22
-"""Greatest number of control steps on the line behind the door."""
 BEHIND_WAY_M = 0.25
 """Length of the straight line of the hand behind an open door."""
+ENTRY = HandEntry(in_line=0.025, entered=0.04, steps=22)
+"""The hand's motion on this line."""
 JOINT_STEP_RAD = 0.037
 """Largest motion of an arm joint per control step while the hand pushes the door, which should not leave it."""
 PUSH_STEP_RAD = 0.02, 0.045
@@ -64,6 +59,7 @@ PUSH_LEAD_RAD = 0.15
 def close_door(view: WorldView, link: JointedLink) -> Motion:
     """Close a hinged door: reach behind it and accelerate it along its arc, then retract the arm while it swings shut.
 
+    Where no ordinary motion is free, as at a wall, the hand pulls the edge of the door out (`beside_wall`).
     With the style ``close=push`` the hand pushes the door all the way. Both are repeated while the door is ajar. With
     ``close=sweep`` the base drives against the door with the arm at rest, where there is room for it.
     """
@@ -71,24 +67,17 @@ def close_door(view: WorldView, link: JointedLink) -> Motion:
         yield from sweep(view, link)
     throws = style_of(view).close != PUSH
     while view.steps_left > 40 and view.link_q(link.id) > AJAR_SHARE * link.range[1]:
-        start = view.link_q(link.id) + PRESS_AHEAD_RAD
-        half = start < HALF_OPEN_SHARE * link.range[1]
-        search = motions.push_half_open if half else motions.push_open
-        angles = motions.push_angles(link, half)
-        found, angles = _from_angle(
-            view.robot,
-            link_motions.cached(view.robot, link, search.__name__, search),
-            angles,
-            min(start, angles[0]),
-        )
-        path = reachable(view, link, found, angles, BEHIND_WAY_M)
+        now = view.link_q(link.id)
+        path, enter = from_outside(view, link), _reach_behind
+        if path is None:
+            path, enter = beside_wall.from_edge(view, link), beside_wall.reach_past
         if path is None:
             return False
         yield from follow(view, path.route, gripper=motion.CLOSED)
         # The approach pushed the door open: the path begins where the door is no longer.
-        if view.link_q(link.id) > start - PRESS_AHEAD_RAD + STRUCK_RAD:
+        if view.link_q(link.id) > now + STRUCK_RAD:
             continue
-        yield from _behind_edge(view, path)
+        yield from enter(view, path)
         while (
             yield from _push_shut(view, link, path, SHUT_SHARE * link.range[1], throws)
         ):
@@ -97,6 +86,24 @@ def close_door(view: WorldView, link: JointedLink) -> Motion:
         else:
             yield from approach.retreat(view, 0.06)
     return (yield from approach.retract(view))
+
+
+def from_outside(view: WorldView, link: JointedLink) -> LinkPath | None:
+    """The motion that pushes a door shut from its outside, where there is room for the hand; None if there is none."""
+    start = view.link_q(link.id) + PRESS_AHEAD_RAD
+    half = start < HALF_OPEN_SHARE * link.range[1]
+    search = motions.push_half_open if half else motions.push_open
+    angles = motions.push_angles(link, half)
+    found = link_motions.cached(view.robot, link, search.__name__, search)
+    return reachable(
+        view, link, *from_angle(view.robot, found, angles, start), BEHIND_WAY_M
+    )
+
+
+@phase("reach behind the door")
+def _reach_behind(view: WorldView, path: LinkPath) -> Motion:
+    """Move the hand in a straight line behind an open door. Returns whether it arrived."""
+    return (yield from straight_in(view, path, ENTRY))
 
 
 @phase("push the door shut")
@@ -152,50 +159,3 @@ def _leave_swinging(view: WorldView, link: JointedLink) -> Motion:
         last = now
         yield action
     return True
-
-
-@phase("reach behind the door")
-def _behind_edge(view: WorldView, path: LinkPath) -> Motion:
-    """Move the hand straight along its axis to the beginning of a path, behind the edge of an open door.
-
-    The hand moves forward only while it is close to its line: with an error of the base pose it would hit the edge.
-    Returns whether it arrived.
-    """
-    robot = view.robot.chain
-    wish = path.q[0]
-    pos, rot = path.hand_at(float(path.values[0]))
-    for _ in range(ENTER_STEPS):
-        here, turn = motion.tcp(view)
-        back = float((pos - here) @ rot[:, 0])
-        aside = pos - here - back * rot[:, 0]
-        off = float(np.linalg.norm(aside))
-        if back < ENTERED_M:
-            return True
-        ahead = min(back, ENTER_STEP_M) * float(np.clip(2.0 - off / IN_LINE_M, 0.0, 1.0))
-        goal = here + ahead * rot[:, 0] + min(1.0, ENTER_STEP_M / max(off, 1e-9)) * aside
-        aim_rot = ik.straight_line(
-            here[None], pos[None], turn[None], rot[None], 1.0, 0.1
-        )[1]
-        yield motion.hand_action(
-            view,
-            ik.TipGoals(goal[None], aim_rot, ik.columns(robot), wish, "approach"),
-            gripper=motion.CLOSED,
-            drive=approach.base_towards(view, wish),
-            rest_gain=0.1,
-        )
-    return False
-
-
-def _from_angle(
-    body: Robot, found: LinkMotions, angles: np.ndarray, start: float
-) -> tuple[LinkMotions, np.ndarray]:
-    """Cut closing motions so that they start at the door angle ``start``; returns them and their angles."""
-    k = int(np.searchsorted(-angles, -start))
-    if k == 0:
-        return found, angles
-    share = (angles[k - 1] - start) / (angles[k - 1] - angles[k])
-    first = (1.0 - share) * found.q[:, k - 1] + share * found.q[:, k]
-    robot = body.chain
-    steps = ik.travel_steps(robot, body.rest, first, ik.columns(robot))
-    q = np.concatenate([first[:, None], found.q[:, k:]], axis=1)
-    return LinkMotions(q, steps, found.back), np.append(start, angles[k:])

@@ -76,7 +76,7 @@ def _inward(link: JointedLink) -> float:
     return m * lack if lack > 0.001 else 0.0
 
 
-def _line(
+def line(
     near: np.ndarray,
     side: np.ndarray,
     headings: Iterable[float],
@@ -148,7 +148,7 @@ def _level(yaw: np.ndarray) -> np.ndarray:
 
 
 @dataclass(frozen=True, eq=False)
-class _HandPath:
+class HandPath:
     """Hand positions ``pos`` (K, 3) and rotations ``rot`` (K, 3, 3) in the plan frame at door ``angles`` (K,)."""
 
     pos: np.ndarray
@@ -156,11 +156,11 @@ class _HandPath:
     angles: np.ndarray
 
 
-def _search(
+def search(
     robot: Robot,
     link: JointedLink,
     base: np.ndarray,
-    hands: _HandPath,
+    hands: HandPath,
     tries: int,
     mode: ik.Mode = "pose",
 ) -> LinkMotions:
@@ -198,7 +198,7 @@ def pull_motions(robot: Robot, link: JointedLink, further: float = 0.0) -> LinkM
     thick = link.handle.thickness > THICK_BAR_M
     headings = m * np.array([0.6, 0.9, 1.2, 1.5] if thick else [0.3, 0.6, 0.9])
     lengths = (0.5, 0.65, 0.8, 0.95) if thick else (0.4, 0.6)
-    base = _line(
+    base = line(
         np.arange(0.8, 1.25, 0.1),
         m * np.arange(-0.85, 0.15, 0.15),
         headings,
@@ -213,7 +213,7 @@ def pull_motions(robot: Robot, link: JointedLink, further: float = 0.0) -> LinkM
         pos = grip.copy()
         pos[0] += PRE_GRASP_M * motion.ahead_3d(yaw[0])
         found.append(
-            _search(robot, link, base, _HandPath(pos, _level(yaw), angles), tries=5)
+            search(robot, link, base, HandPath(pos, _level(yaw), angles), tries=5)
         )
     return LinkMotions.join(found)
 
@@ -235,7 +235,7 @@ def _push_motions(robot: Robot, link: JointedLink, half: bool) -> LinkMotions:
     lengths = (-1.0, -0.8, -0.6, -0.4)
     m = hand_side(link)
     headings = m * np.array([0.2, 0.45, 0.7, 0.95, 1.2])
-    base = _line(
+    base = line(
         np.arange(0.8, 1.7, 0.1), m * np.arange(-0.1, 1.25, 0.1), headings, lengths, share
     )
     handle = link.handle
@@ -261,8 +261,8 @@ def _push_motions(robot: Robot, link: JointedLink, half: bool) -> LinkMotions:
                 + inward * across
                 + (handle.half_length + ABOVE_BAR_M) * bar
             )
-        hands = _HandPath(np.array(pos), _level(m * yaw), angles)
+        hands = HandPath(np.array(pos), _level(m * yaw), angles)
         # Few motions reach behind a wide open door: more tries there.
         tries = 5 if half else 8
-        found.append(_search(robot, link, base, hands, tries=tries, mode="approach"))
+        found.append(search(robot, link, base, hands, tries=tries, mode="approach"))
     return LinkMotions.join(found)

@@ -43,7 +43,7 @@ demo: $(VENV)/.core  ## a Fetch robot does SetTable in furnished homes; films an
 	$(BIN)/mjhab demo --out $(DEMO_OUT)
 
 demo-student: $(VENV)/.learn  ## a learned policy opens a drawer; films in runs/demo-student
-	$(BIN)/mjhab eval --policy student --task set_table --subtask open --target kitchen_counter/drawer3 --split val \
+	$(BIN)/mjhab eval --policy learned --task set_table --subtask open --target kitchen_counter/drawer3 --split val \
 	  --episodes 8 --worlds 8 --seed 0 --films 4 --out $(DEMO_STUDENT_OUT) --overwrite
 	@echo "Open in a browser (no network needed): $(CURDIR)/$(DEMO_STUDENT_OUT)/report.html"
 

@@ -38,7 +38,7 @@ KEYS = ("task", "subtask", "target", "split", "seed", "pack")
 
 def command(row: dict[str, Any], episodes: int, assets: str, folder: Path) -> list[str]:
     """`mjhab eval` of a row."""
-    words = [sys.executable, "-m", "mjhab", "eval", "--policy", "student"]
+    words = [sys.executable, "-m", "mjhab", "eval", "--policy", "learned"]
     words += ["--task", row["task"], "--split", row["split"], "--seed", str(row["seed"])]
     for name in ("subtask", "target"):
         words += [f"--{name}", row[name]] if row[name] else []

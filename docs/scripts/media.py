@@ -48,7 +48,7 @@ def make_films(into: Path, scratch: Path) -> None:
         "expert": ("--task", "set_table", "--policy", "expert", "--episodes", "1"),
         "student": (
             "--task", "set_table", "--subtask", "close", "--target", "kitchen_counter/drawer3",
-            "--policy", "student", "--split", "val", "--episodes", "1",
+            "--policy", "learned", "--split", "val", "--episodes", "1",
         ),
     }.items():  # fmt: skip
         out = scratch / name

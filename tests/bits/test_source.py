@@ -80,7 +80,10 @@ INTEGER_SUMS = {
     "envs/parts/memory.py": {"PIXEL_BYTES[name]", "drawn"},
     "evaluation/generate.py": {"done.errors.values()"},
     "evaluation/score/capabilities.py": {"capability.shown(record)"},
-    "evaluation/score/result.py": {"_begins_elsewhere(asked, episode)"},
+    "evaluation/score/summary.py": {
+        "_begins_elsewhere(asked, episode)",
+        "asked.count(row)",
+    },
     "experts/planning/reach.py": {"map(len, found)"},
     "layout/contact_sensors.py": {"1 << field"},
     "learning/observation/spec.py": {"width", "widths"},

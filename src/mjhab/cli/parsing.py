@@ -18,7 +18,7 @@ from typing import Annotated, Any
 import tyro
 
 from mjhab.cli.commands import Command
-from mjhab.cli.renamed import with_own_options
+from mjhab.cli.renamed import tell_old_values, with_own_options
 from mjhab.core.errors import UsageError
 from mjhab.core.typed.flags import (
     Flag,
@@ -179,6 +179,7 @@ def parse_words(command: Command, words: Sequence[str]) -> Parsed:
             _put(values, option.path, value)
     for path, value in entries:
         _put(values, path, value)
+    tell_old_values(values)
     return Parsed(command, values, given.json, getattr(given, "cache_mb", None))
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Collection, Mapping, Sequence
+from typing import Any
 
 WORDS: Mapping[str, Mapping[str, str]] = {
     "score": {
@@ -20,6 +21,8 @@ OPTIONS: Mapping[str, Mapping[str, str]] = {
     "estimate": {"--num-envs": "--worlds"},
 }
 """Old to new names of options, by command; those of `SPAWN_RULE` are of all commands that know the new one."""
+VALUES: Mapping[str, Mapping[str, str]] = {"policy": {"student": "learned"}}
+"""Old to new values, by option; behind a colon a value may go on."""
 
 
 def with_command(words: Sequence[str]) -> list[str]:
@@ -58,6 +61,15 @@ def with_own_options(
             word = f"{new[name]}{equals}{value}"
         found.append(word)
     return found
+
+
+def tell_old_values(values: Mapping[str, Any]) -> None:
+    """Tell of values that have another name today, by the options of a command that have them."""
+    for option, names in VALUES.items():
+        name, colon, _ = str(values.get(option, "")).partition(":")
+        if name in names:
+            what = f"--{option} "
+            _tell(f"{what}{name}{colon}", f"{what}{names[name]}{colon}")
 
 
 def _tell(old: str, new: str) -> None:

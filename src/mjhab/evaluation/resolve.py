@@ -20,8 +20,10 @@ EXPERT = "expert"
 NAMED_POLICIES = (EXPERT, "random", "zero")
 MS_HAB_PREFIX = "ms_hab:"
 """Before the file of a checkpoint of MS-HAB."""
+LEARNED = "learned"
 STUDENT = "student"
-"""Name of the checkpoints that come with the package; `full_spec` adds task, subtask and target."""
+LEARNED_NAMES = (LEARNED, STUDENT)
+"""Name of the checkpoints that come with the package, and the old one; `full_spec` adds task, subtask and target."""
 
 
 @dataclass(frozen=True)
@@ -143,8 +145,8 @@ POLICY_KINDS: list[PolicyKind] = [
         "mjhab.evaluation.named_policies:NamedPolicy",
     ),
     PolicyKind(
-        STUDENT,
-        lambda spec: spec.partition(":")[0] == STUDENT,
+        LEARNED,
+        lambda spec: spec.partition(":")[0] in LEARNED_NAMES,
         "mjhab.learning.shipped_kind:ShippedPolicy",
         takes_instruction=True,
     ),
@@ -234,8 +236,10 @@ def check_style(policy: object, style: Sequence[str]) -> None:
 
 
 def full_spec(spec: str, task: str, subtask: str | None, target: str | None) -> str:
-    """Add task, subtask and target to the specification "student"; others are returned unchanged."""
-    return f"{STUDENT}:{task}/{subtask or ''}/{target or ''}" if spec == STUDENT else spec
+    """Add task, subtask and target to the specification "learned", or "student" as it was called; keep others."""
+    if spec not in LEARNED_NAMES:
+        return spec
+    return f"{spec}:{task}/{subtask or ''}/{target or ''}"
 
 
 def _kind_of(spec: str) -> PolicyKind:
@@ -244,5 +248,5 @@ def _kind_of(spec: str) -> PolicyKind:
             return kind
     forms = ", ".join(kind.form for kind in POLICY_KINDS[2:])
     raise UsageError(
-        f"{unknown_name('policy', spec, (*NAMED_POLICIES, STUDENT))} Or a policy of your own: {forms}."
+        f"{unknown_name('policy', spec, (*NAMED_POLICIES, LEARNED))} Or a policy of your own: {forms}."
     )

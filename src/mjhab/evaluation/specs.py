@@ -62,7 +62,7 @@ class EvalSpec(EnvSpec):
     APART: ClassVar[frozenset[str]] = frozenset({"policy", "served"})
 
     policy: PolicyName = "expert"
-    """The policy: expert (scripted, reads the simulator state), student (a trained one of the package, with --subtask
+    """The policy: expert (scripted, reads the simulator state), learned (a trained one of the package, with --subtask
     and --target), random, zero (stands still), a CHECKPOINT.safetensors, POLICIES.json with one policy per
     subtask, ms_hab:CHECKPOINT.pt of MS-HAB (see docs/ms_hab.md), your own: FILE.py:CLASS (see docs/evaluation.md),
     or one that is served elsewhere: ws://host:port (see docs/serving.md). In Python also an object, a class or a

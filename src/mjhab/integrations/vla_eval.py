@@ -25,7 +25,7 @@ from mjhab.robots.registry import DEFAULT_ROBOT, robot_named
 
 CAMERAS = ("head", "wrist")
 """Names of the images, in the order of the robot's cameras."""
-MAX_STEPS = {"subtasks": 500, "chains": 8000}
+MAX_STEPS = {"subtasks": 500, "chains": 8000, "ms_hab_7": 500}
 """Bounds [control steps] that no episode reaches: the environment ends each at its own horizon."""
 RANGE = (-1.0, 1.0)
 
@@ -36,8 +36,8 @@ class MjhabBenchmark(StepBenchmark):
     A model sees two RGB images, the state (S,) and the instruction of the active subtask.
 
     Args:
-        track: "subtasks" or "chains", see `evaluation.score.manifest`.
-        split: "train", "val" or "test".
+        track: "subtasks", "chains" or "ms_hab_7", see `evaluation.score.manifest`.
+        split: "train", "val" or "test"; "" for that of the track's official scores.
         rows: names of some of the rows, such as "set_table.pick"; None for all.
         actions: name of the action space of the model, see `evaluation.served.action_spaces`.
         camera_size: side of the images [px].
@@ -57,7 +57,7 @@ class MjhabBenchmark(StepBenchmark):
     def __init__(
         self,
         track: str = "subtasks",
-        split: str = "test",
+        split: str = "",
         rows: Sequence[str] | None = None,
         actions: str = "ee",
         camera_size: int = 224,
@@ -88,13 +88,14 @@ class MjhabBenchmark(StepBenchmark):
         ]
 
     def reset(self, task: dict[str, Any]) -> Any:
-        """Begin the episode with index ``task["episode_idx"]`` of the row of this name."""
+        """Begin an episode of the row of this name; ``task["episode_idx"]`` counts on over the seeds."""
         row = self._rows[task["name"]]
         if row is not self._row:
             self._open(row)
-        index = int(task.get("episode_idx", 0))
+        turn, index = divmod(int(task.get("episode_idx", 0)), row.episodes)
         options = {"episode": np.array([index]), "reset_mask": np.ones(1, bool)}
-        obs, self._info = self._env.reset(seed=self._asked.seed, options=options)
+        seed = self._asked.seeds[turn]
+        obs, self._info = self._env.reset(seed=seed, options=options)
         self._success = False
         self._recorder.record_video(self._image(obs, 0))
         return obs
@@ -145,7 +146,7 @@ class MjhabBenchmark(StepBenchmark):
 
     def get_metadata(self) -> dict[str, Any]:
         """Bounds of an evaluation."""
-        episodes = min(row.episodes for row in self._rows.values())
+        episodes = min(self._asked.count(row) for row in self._rows.values())
         steps = MAX_STEPS[self._asked.track]
         return {"max_steps": steps, "max_episodes_per_task": episodes}
 
@@ -190,6 +191,7 @@ class MjhabBenchmark(StepBenchmark):
             subtask=row.subtask,
             target=row.target,
             split=self._asked.split,
+            profile=self._asked.profile,
             num_envs=1,
             obs_mode="rgb",
             camera_size=self._size,

@@ -26,9 +26,10 @@ from mjhab.core.typed.options import read_record
 from mjhab.evaluation.evaluate import close_policy
 from mjhab.evaluation.resolve import (
     EXPERT,
+    LEARNED,
+    LEARNED_NAMES,
     MS_HAB_PREFIX,
     NAMED_POLICIES,
-    STUDENT,
     OpenedPolicy,
     PolicyFacts,
     PolicyOptions,
@@ -40,7 +41,7 @@ from mjhab.tasks.household.registry import TASKS
 from mjhab.tasks.subtasks.registry import SUBTASKS
 
 SUFFIX = ".json"
-WITHOUT_FILE = (f"{STUDENT}:", "ws://", "wss://")
+WITHOUT_FILE = (*(f"{name}:" for name in LEARNED_NAMES), "ws://", "wss://")
 """Beginnings of specifications that name no file."""
 _FIELDS = ("subtask", "target", "checkpoint")
 
@@ -97,8 +98,8 @@ def _beside(path: Path, spec: str) -> str:
         UsageError: it is another policies file, or a student of the package without what it does.
         ValueError: it names a file that cannot be.
     """
-    if spec == STUDENT:
-        raise UsageError(f"{path}: say which student: {STUDENT}:TASK/SUBTASK/TARGET.")
+    if spec in LEARNED_NAMES:
+        raise UsageError(f"{path}: say which policy: {LEARNED}:TASK/SUBTASK/TARGET.")
     if spec.endswith(SUFFIX):
         raise UsageError(
             f"{path}: an entry names one policy, not another policies file ({spec})."

@@ -1,6 +1,6 @@
-"""Checkpoints that come with the package: ``--policy student`` of every command. See `evaluation.resolve.OpenedPolicy`.
+"""Checkpoints that come with the package: ``--policy learned`` of every command. See `evaluation.resolve.OpenedPolicy`.
 
-`evaluation.resolve.full_spec` adds the subtask to "student", for instance ``student:set_table/close/fridge/top_door``.
+`evaluation.resolve.full_spec` adds the subtask to "learned", for instance ``learned:set_table/close/fridge/top_door``.
 Without a subtask the students of a task's subtasks act in turn; where the robot is not teleported and the task has no
 student of Navigate, the expert drives.
 """
@@ -18,7 +18,6 @@ from mjhab.core.errors import UsageError, unknown_name
 from mjhab.core.files.reading import read_json_object
 from mjhab.evaluation.resolve import (
     EXPERT,
-    STUDENT,
     OpenedPolicy,
     PolicyFacts,
     PolicyOptions,
@@ -89,8 +88,8 @@ def _listed() -> str:
 
 
 def _parts(spec: str) -> tuple[str, str, str]:
-    """Task, subtask and target of ``student:TASK/SUBTASK/TARGET``; empty where they are not given."""
-    task, _, rest = spec.removeprefix(STUDENT).removeprefix(":").partition("/")
+    """Task, subtask and target of ``learned:TASK/SUBTASK/TARGET``; empty where they are not given."""
+    task, _, rest = spec.partition(":")[2].partition("/")
     subtask, _, target = rest.partition("/")
     return task, subtask, target
 
@@ -159,17 +158,22 @@ class ShippedTask(PoliciesTogether):
 class ShippedPolicy(OpenedPolicy):
     """A student of the package, or those of a task together."""
 
+    @property
+    def _name(self) -> str:
+        """The name that was used, so that runs under the old one can go on."""
+        return self.spec.partition(":")[0]
+
     @cached_property
     def _found(self) -> OpenedPolicy:
         task, subtask, target = _parts(self.spec)
         if not subtask:
-            return ShippedTask(STUDENT, task)
+            return ShippedTask(self._name, task)
         return CheckpointFiles(shipped_path(task, subtask, target))
 
     @property
     def facts(self) -> PolicyFacts:
         """Those of what was found, by the name of students of the package."""
-        return dataclasses.replace(self._found.facts, name=STUDENT)
+        return dataclasses.replace(self._found.facts, name=self._name)
 
     def _build(self, env: RolloutEnv, options: PolicyOptions) -> Policy:
         return self._found._build(env, options)

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 from functools import lru_cache
 
-from mjhab.core.arrays import Array, Table, constant
-from mjhab.tasks.signals import CHECKS
+from mjhab.core.arrays import Array, Table, constant, pile
+from mjhab.tasks.signals import CHECKS, Signals
 from mjhab.tasks.subtasks.registry import SUBTASKS, check_kinds
 from mjhab.tasks.subtasks.spec import COMMON_CHECKS
 
@@ -51,3 +51,19 @@ def masks(kind: Array, ignore_arm: bool) -> tuple[Array, Array]:
     applies = constant(_applies(SUBTASKS.version), no)
     optional = constant(_optional(SUBTASKS.version, ignore_arm), no)
     return applies[:, kind], optional[:, kind]
+
+
+def succeeds_whatever_force(signals: Signals) -> Array:
+    """(W,) bool: all conditions of success of the active subtask hold, but for the limit on the accumulated force.
+
+    Evaluations that go on after this limit was exceeded and look at the other conditions count it as a success.
+    """
+    # The conditions that are no fields of `Signals`, as `measure` computes them.
+    more = {
+        "let_go": ~signals.is_grasped,
+        "hold_ok": signals.is_grasped | ~signals.must_hold,
+        "force_ok": signals.success == signals.success,
+    }
+    rows = [more[name] if name in more else getattr(signals, name) for name in CHECKS]
+    _, optional = masks(signals.kind, ignore_arm=False)
+    return (pile(rows) | optional).all(0)

@@ -13,6 +13,7 @@ from mjhab.core.files.cache import write_atomic
 from mjhab.core.files.interrupts import sigterm_interrupts
 from mjhab.core.progress import progress_bar
 from mjhab.evaluation.evaluate import EvaluationInterrupted
+from mjhab.evaluation.score.check import CHECKED_EPISODES, check
 from mjhab.evaluation.score.leaderboard import leaderboard
 from mjhab.evaluation.score.result import (
     RESULT_FILE,
@@ -20,7 +21,7 @@ from mjhab.evaluation.score.result import (
     read_for_table,
     read_result,
 )
-from mjhab.evaluation.score.run import CHECKED_EPISODES, check, score
+from mjhab.evaluation.score.run import score
 from mjhab.evaluation.score.spec import CheckSpec, LeaderboardSpec, ScoreSpec, StartsSpec
 from mjhab.evaluation.score.starts import write_starts
 
@@ -48,9 +49,14 @@ def run_score(spec: ScoreSpec, json: bool) -> int:
 
 def _facts(result: ScoreResult) -> dict[str, object]:
     summary = result.summary
+    continuing = "score_continuing"
     return {
         "track": result.facts["track"],
         "score": summary["score"],
+        **({continuing: summary[continuing]} if continuing in summary else {}),
+        "rows": {row["name"]: row["score"] for row in summary["rows"]},
+        "assets": result.facts.get("homes", {}).get("pack", "builtin"),
+        "stage": result.facts.get("homes", {}).get("stage", ""),
         "episodes": summary["episodes"],
         "digest": result.digest,
         "complete": summary["complete"],
@@ -59,19 +65,19 @@ def _facts(result: ScoreResult) -> dict[str, object]:
 
 def _listings(result: ScoreResult, out: Path) -> list[Listing | str]:
     summary = result.summary
+    columns = {"score": "score", "success_once": "success once"}
+    going_on = ""
+    if "score_continuing" in summary:
+        columns["score_continuing"] = "goes on after a failure"
+        going_on = f", {100 * summary['score_continuing']:.1f} where episodes go on after a failing termination"
     rows = [
-        (
-            row["name"],
-            row["done"],
-            f"{100 * row['score']:.1f} %",
-            f"{100 * row['success_once']:.1f} %",
-        )
+        (row["name"], row["done"], *(f"{100 * row[name]:.1f} %" for name in columns))
         for row in summary["rows"]
     ]
     parts: list[Listing | str] = [
-        Listing("Rows", ("row", "episodes", "score", "success once"), rows),
-        f"score {100 * summary['score']:.1f} of {summary['episodes']} episodes, tainted {summary['tainted']}, errors "
-        f"{summary['errors']}",
+        Listing("Rows", ("row", "episodes", *columns.values()), rows),
+        f"score {100 * summary['score']:.1f}{going_on} of {summary['episodes']} episodes, tainted "
+        f"{summary['tainted']}, errors {summary['errors']}",
     ]
     if not summary["complete"]:
         parts.append(
@@ -85,7 +91,7 @@ def run_check(spec: CheckSpec, json: bool) -> int:
     result = read_result(spec.file)
     total = min(CHECKED_EPISODES, len(result.episodes))
     with progress_bar("replaying", total) as advance:
-        found = check(result, advance, spec.seed)
+        found = check(result, advance, spec.seed, spec.asked.assets)
     for name, what in list(found.wrong.items())[:_MOST_SHOWN]:
         print(f"{name}: {what}", file=sys.stderr)
     exact = found.episodes - len(found.wrong) - len(found.inexact)
@@ -131,7 +137,9 @@ def run_table(spec: LeaderboardSpec, json: bool) -> int:
 def run_starts(spec: StartsSpec, json: bool) -> int:
     """Write the missing starts of a track; returns 0."""
     asked = spec.asked
-    count = write_starts(spec.track, asked.split, asked.num_envs, asked.threads)
+    count = write_starts(
+        spec.track, asked.split, asked.num_envs, asked.threads, asked.assets
+    )
     policy = f"{count} starts of {spec.track}/{asked.split} written"
     report(json, {"track": spec.track, "split": asked.split, "written": count}, policy)
     return 0

@@ -17,6 +17,7 @@ from mjhab.data.record.worlds import RecordedEnv
 from mjhab.evaluation.score.manifest import start_digest
 from mjhab.rollout.records import EpisodeRecord
 from mjhab.rollout.sinks import Sink, StepView
+from mjhab.tasks.success import succeeds_whatever_force
 
 MAX_ACTIONS_BYTES = 64 << 20
 """Largest size of the decompressed actions of one episode [bytes]."""
@@ -25,11 +26,17 @@ NO_MORE = "the recorded actions end here"
 
 
 class StartKeeper(Sink[RecordedEnv]):
-    """Remembers the start digest of every finished episode, by its index."""
+    """Remembers what no record tells of every finished episode, by its index.
+
+    starts: digest of the start. continuing: whether the subtask succeeded in some step, whatever force the robot had
+    exerted until then.
+    """
 
     def __init__(self) -> None:
         self.starts: dict[int, str] = {}
+        self.continuing: dict[int, bool] = {}
         self._now: dict[int, str] = {}
+        self._achieved: dict[int, bool] = {}
 
     def on_reset(
         self, env: RecordedEnv, info: Mapping[str, Any], mask: np.ndarray
@@ -37,14 +44,23 @@ class StartKeeper(Sink[RecordedEnv]):
         """Compute the digests of the worlds in ``mask`` (W,)."""
         for w in np.flatnonzero(mask).tolist():
             self._now[w] = start_digest(env, w)
+            self._achieved[w] = False
+
+    def on_step(self, env: RecordedEnv, step: StepView) -> None:
+        """Look whether the subtasks succeed but for the force."""
+        assert env.judged is not None
+        good = step.active & succeeds_whatever_force(env.judged)
+        for w in np.flatnonzero(good).tolist():
+            self._achieved[w] = True
 
     def on_episode_end(self, env: RecordedEnv, world: int, record: EpisodeRecord) -> None:
-        """Give the digest to the episode."""
+        """Give what was found to the episode."""
         self.starts[record.index] = self._now[world]
+        self.continuing[record.index] = self._achieved[world]
 
 
 class ActionKeeper(StartKeeper):
-    """Writes the actions and the start digest of every finished episode to a file of its own in ``folder``."""
+    """Writes start digest, actions and ``continuing`` of every finished episode to a file of its own in ``folder``."""
 
     def __init__(self, folder: Path) -> None:
         super().__init__()
@@ -61,14 +77,17 @@ class ActionKeeper(StartKeeper):
 
     def on_step(self, env: RecordedEnv, step: StepView) -> None:
         """Remember the applied actions."""
+        super().on_step(env, step)
         for w in np.flatnonzero(step.active).tolist():
             self._actions[w].append(np.array(step.actions[w], np.float32))
 
     def on_episode_end(self, env: RecordedEnv, world: int, record: EpisodeRecord) -> None:
         """Write the actions of the episode."""
         super().on_episode_end(env, world, record)
-        text = f"{self.starts[record.index]} {packed_actions(np.stack(self._actions[world]))}"
-        path = kept_path(self._folder, record.index)
+        index = record.index
+        packed = packed_actions(np.stack(self._actions[world]))
+        text = f"{self.starts[index]} {packed} {int(self.continuing[index])}"
+        path = kept_path(self._folder, index)
         path.parent.mkdir(parents=True, exist_ok=True)
         write_atomic(path, lambda temporary: temporary.write_text(text, encoding="ascii"))
 

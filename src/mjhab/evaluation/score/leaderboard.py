@@ -7,8 +7,10 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from mjhab.evaluation.score.capabilities import CAPABILITIES
-from mjhab.evaluation.score.manifest import TRACKS
+from mjhab.evaluation.score.manifest import BUILTIN_HOMES, TRACKS, Manifest
+from mjhab.evaluation.score.published import PUBLISHED, WHAT_DIFFERS
 from mjhab.evaluation.score.result import ScoreResult
+from mjhab.reports.metrics import mean
 from mjhab.robots.registry import DEFAULT_ROBOT
 
 _HEAD = """# Leaderboard
@@ -19,55 +21,78 @@ FILE` verifies by replay; do not edit it. [score.md](score.md) defines the numbe
 
 
 def leaderboard(results: Sequence[ScoreResult]) -> str:
-    """Render the page in Markdown: per track a table of scores, best first, one by row, and one by capability."""
+    """Render the page in Markdown.
+
+    Scores of one track in the same homes are compared, best first: a table of scores, one by row, one by capability.
+    """
     parts = [_HEAD]
-    for track, rows in TRACKS.items():
+    for track in TRACKS:
         some = [result for result in results if result.facts["track"] == track]
-        if not some:
-            continue
-        some.sort(
-            key=lambda result: (-result.summary["complete"], -result.summary["score"])
-        )
-        parts += [f"## Track: {track}", _scores(some)]
-        parts += ["Score by row, per cent:", _rows(some, [row.name for row in rows])]
-        parts += ["Profile by capability, per cent (of subtasks):", _profile(some)]
-        meanings = [f"{name}: {entry.meaning}" for name, entry in CAPABILITIES.items()]
-        parts.append(f"{'; '.join(meanings)}.")
+        for homes in sorted({result.manifest.homes for result in some}, key=str):
+            parts += _section([r for r in some if r.manifest.homes == homes])
     return "\n\n".join(part.strip() for part in parts) + "\n"
 
 
-def _scores(results: Sequence[ScoreResult]) -> str:
-    columns = (
-        "policy",
-        "split",
-        "score",
-        "episodes",
-        "tainted",
-        "errors",
-        "mjhab",
-        "digest",
+def _section(results: Sequence[ScoreResult]) -> list[str]:
+    """Heading and tables of scores that can be compared."""
+    some = sorted(
+        results,
+        key=lambda result: (-result.summary["complete"], -result.summary["score"]),
     )
-    rows = []
-    for result in results:
-        summary = result.summary
-        done = f"{summary['episodes']}" + ("" if summary["complete"] else " (incomplete)")
-        rows.append(
-            (
-                _policy(result),
-                result.facts["split"],
-                _percent(summary["score"]),
-                done,
-                summary["tainted"],
-                summary["errors"],
-                _version(result),
-                f"`{result.digest[:12]}`",
-            )
-        )
+    asked = some[0].manifest
+    told = f", homes of {asked.homes}" if asked.homes != BUILTIN_HOMES else ""
+    parts = [f"## Track: {asked.track}{told}"]
+    parts += [WHAT_DIFFERS[asked.track]] if asked.track in WHAT_DIFFERS else []
+    parts.append(_scores(some, asked))
+    rule = ", ends at failure / goes on" if asked.continuing else ""
+    parts += [f"Score by row, per cent{rule}:", _rows(some, asked)]
+    parts += ["Profile by capability, per cent (of subtasks):", _profile(some)]
+    meanings = [f"{name}: {entry.meaning}" for name, entry in CAPABILITIES.items()]
+    return [*parts, f"{'; '.join(meanings)}."]
+
+
+def _scores(results: Sequence[ScoreResult], asked: Manifest) -> str:
+    """The table of scores, published numbers last."""
+    cells = [_score_cells(result) for result in results]
+    published = [
+        {
+            "policy": f"published: {one.policy}",
+            "score": f"{one.mean:.1f}",
+            "digest": one.source,
+        }
+        for one in PUBLISHED.get(asked.track, ())
+    ]
+    columns = list(cells[0])
+    rows = [[line.get(name, "-") for name in columns] for line in (*cells, *published)]
     return _markdown(columns, rows)
 
 
-def _rows(results: Sequence[ScoreResult], names: Sequence[str]) -> str:
+def _score_cells(result: ScoreResult) -> dict[str, object]:
+    """A line of the table of scores, by column."""
+    summary = result.summary
+    more: dict[str, object] = {}
+    if result.manifest.continuing:
+        more["goes on"] = _percent(summary["score_continuing"])
+    if len(result.manifest.seeds) > 1:
+        turns = zip(*(row["score_by_seed"] for row in summary["rows"]), strict=True)
+        more["by seed"] = ", ".join(_percent(mean(turn)) for turn in turns)
+    return {
+        "policy": _policy(result),
+        "split": result.facts["split"],
+        "score": _percent(summary["score"]),
+        **more,
+        "episodes": f"{summary['episodes']}"
+        + ("" if summary["complete"] else " (incomplete)"),
+        "tainted": summary["tainted"],
+        "errors": summary["errors"],
+        "mjhab": _version(result),
+        "digest": f"`{result.digest[:12]}`",
+    }
+
+
+def _rows(results: Sequence[ScoreResult], asked: Manifest) -> str:
     scores = [{row["name"]: row for row in result.summary["rows"]} for result in results]
+    names = [row.name for row in asked.rows]
     rows = [(name, *(_row_cell(score[name]) for score in scores)) for name in names]
     return _markdown(("row", *(_policy(result) for result in results)), rows)
 
@@ -77,7 +102,9 @@ def _row_cell(row: Mapping[str, Any]) -> str:
         return "-"
     low, high = row["interval"]
     interval = f" ({100 * low:.0f} to {100 * high:.0f})" if row["subtask"] else ""
-    return f"{_percent(row['score'])}{interval}"
+    later = row.get("score_continuing")
+    going_on = "" if later is None else f" / {_percent(later)}"
+    return f"{_percent(row['score'])}{interval}{going_on}"
 
 
 def _profile(results: Sequence[ScoreResult]) -> str:

@@ -12,13 +12,11 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from mjhab.core.arithmetic.sums import ordered_sum
 from mjhab.core.errors import UsageError
 from mjhab.core.files.cache import write_atomic
 from mjhab.core.files.reading import parse_json
-from mjhab.evaluation.score.capabilities import profile
-from mjhab.evaluation.score.manifest import Manifest, ScoreRow, manifest
-from mjhab.reports.metrics import label_counts, mean, wilson
+from mjhab.evaluation.score.manifest import Manifest, ScoreHomes, ScoreRow, manifest
+from mjhab.evaluation.score.summary import ScoredEpisode, summary_of
 from mjhab.robots.registry import DEFAULT_ROBOT
 from mjhab.rollout.records import EpisodeRecord
 
@@ -27,19 +25,6 @@ SUMMARY_FORMAT = "mjhab-score-summary"
 VERSION = 1
 RESULT_FILE = "result.json"
 MAX_FILE_BYTES = 1 << 30
-
-
-@dataclass(frozen=True)
-class ScoredEpisode:
-    """One episode of a score.
-
-    row: name of its row. record: its results. start: digest of its start state. actions: see `actions.packed_actions`.
-    """
-
-    row: str
-    record: EpisodeRecord
-    start: str
-    actions: str
 
 
 @dataclass(frozen=True)
@@ -56,7 +41,7 @@ class ScoreResult:
 
     @property
     def manifest(self) -> Manifest:
-        """Manifest of the result's track, split and robot.
+        """Manifest of the result's track, split, robot and homes.
 
         Raises:
             UsageError: the file names an unknown track, split or robot.
@@ -65,70 +50,17 @@ class ScoreResult:
 
 
 def manifest_of(facts: Mapping[str, Any]) -> Manifest:
-    """Manifest of the track, split and robot that a result names; older results name no robot.
+    """Manifest of track, split, robot and homes that a result names; older results name neither robot nor homes.
 
     Raises:
         UsageError: one of them is unknown.
+        TypeError: the homes are not those of `ScoreHomes`.
     """
     robot = str(facts.get("robot", DEFAULT_ROBOT))
-    return manifest(str(facts["track"]), str(facts["split"]), robot)
-
-
-def summary_of(asked: Manifest, episodes: Sequence[ScoredEpisode]) -> dict[str, Any]:
-    """Compute the numbers of a result from its episodes.
-
-    Returns:
-        "score": mean over the rows. The score of a subtask row is its success-once rate; that of a chain row is the
-        mean fraction of the plan that was completed. Tainted episodes and those with a policy error count 0, as do
-        rows without episodes. "episodes": their number. "complete": whether these are all episodes of the manifest,
-        with its start states. "other_starts": number of episodes with another start state than in the manifest.
-        "tainted", "errors": counts. "rows": one per row. "labels": counts. "capabilities": see `capabilities.profile`.
-    """
-    rows = [
-        _row_summary(row, [e for e in episodes if e.row == row.name])
-        for row in asked.rows
-    ]
-    others = sum(_begins_elsewhere(asked, episode) for episode in episodes)
-    subtasks = [subtask for episode in episodes for subtask in episode.record.subtasks]
-    wanted = sum(row.episodes for row in asked.rows)
-    return {
-        "score": mean(row["score"] for row in rows),
-        "episodes": len(episodes),
-        "complete": len(episodes) == wanted and not others,
-        "other_starts": others,
-        "tainted": sum(bool(episode.record.taint) for episode in episodes),
-        "errors": sum(bool(episode.record.error) for episode in episodes),
-        "rows": rows,
-        "labels": label_counts(subtask.label for subtask in subtasks),
-        "capabilities": profile(subtasks),
-    }
-
-
-def _begins_elsewhere(asked: Manifest, episode: ScoredEpisode) -> bool:
-    """Whether an episode's start state differs from the one in the manifest."""
-    starts = asked.starts.get(episode.row)
-    return starts is not None and starts[episode.record.index] != episode.start
-
-
-def _row_summary(row: ScoreRow, episodes: Sequence[ScoredEpisode]) -> dict[str, Any]:
-    clean = [e.record for e in episodes if not (e.record.taint or e.record.error)]
-    won = sum(record.success_once for record in clean)
-    done = won
-    if not row.subtask:
-        done = ordered_sum(record.completed / len(record.plan) for record in clean)
-    count = len(episodes)
-    return {
-        **asdict(row),
-        "name": row.name,
-        "done": count,
-        "score": _share(done, count),
-        "success_once": _share(won, count),
-        "interval": list(wilson(won, count)),
-    }
-
-
-def _share(part: float, whole: int) -> float:
-    return round(part / whole, 4) if whole else 0.0
+    homes = ScoreHomes(**facts.get("homes", {}))
+    if not all(isinstance(value, str) for value in asdict(homes).values()):
+        raise TypeError(f"facts.homes must be texts, got {facts['homes']!r}")
+    return manifest(str(facts["track"]), str(facts["split"]), robot, homes)
 
 
 def write_result(
@@ -147,6 +79,7 @@ def write_result(
                 "start": e.start,
                 "actions": e.actions,
                 "record": e.record.to_dict(),
+                **({} if e.continuing is None else {"continuing": e.continuing}),
             }
             for e in episodes
         ],
@@ -255,6 +188,7 @@ def _result_of(path: Path, content: Mapping[str, Any]) -> ScoreResult:
                 EpisodeRecord.from_dict(entry["record"]),
                 str(entry["start"]),
                 str(entry["actions"]),
+                entry.get("continuing"),
             )
             for entry in content["episodes"]
         )
@@ -334,25 +268,28 @@ def _check_manifest(path: Path, made_for: object, asked: Manifest) -> None:
 def _check_names(path: Path, asked: Manifest, episodes: Sequence[ScoredEpisode]) -> None:
     """Refuse episodes that are not in the manifest, and duplicates."""
     rows = {row.name: row for row in asked.rows}
-    seen: set[tuple[str, int]] = set()
+    seen: set[tuple[str, int, int]] = set()
     for episode in episodes:
         record = episode.record
         row = rows.get(episode.row)
-        name = (episode.row, record.index)
-        if row is None or not _fits(row, asked, record) or name in seen:
+        name = (episode.row, record.seed, record.index)
+        if row is None or not _fits(row, asked, episode) or name in seen:
             raise UsageError(
                 f"{path}: episode {record.index} of {episode.row} is not in the manifest."
             )
         seen.add(name)
 
 
-def _fits(row: ScoreRow, asked: Manifest, record: EpisodeRecord) -> bool:
-    """Whether an episode belongs to a row."""
-    wanted = (row.task, row.subtask or None, asked.split, asked.seed)
-    got = (record.task, record.subtask, record.split, record.seed)
+def _fits(row: ScoreRow, asked: Manifest, episode: ScoredEpisode) -> bool:
+    """Whether an episode belongs to a row and tells what its track asks for."""
+    record = episode.record
+    wanted = (row.task, row.subtask or None, asked.split)
+    got = (record.task, record.subtask, record.split)
     about = record.plan[0].target if record.plan else ""
     return (
         wanted == got
+        and record.seed in asked.seeds
+        and isinstance(episode.continuing, bool) == asked.continuing
         and about.startswith(row.target)
         and 0 <= record.index < row.episodes
     )

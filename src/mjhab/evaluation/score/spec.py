@@ -14,14 +14,34 @@ from mjhab.core.typed.flags import Flag
 from mjhab.core.typed.options import take_options
 from mjhab.evaluation.specs import OfServer, given_to_server
 from mjhab.robots.registry import ROBOTS
+from mjhab.scenes.pack_source import pack_request
+from mjhab.scenes.spec import OWN_STAGE
 from mjhab.serving.address import with_options, without_password
 
-OF_TRACK = ("split", "robot", "num_envs", "threads")
-TRACK = Flag(metavar="subtasks|chains")
+OF_TRACK = ("split", "robot", "assets", "num_envs", "threads")
+TRACK = Flag(metavar="subtasks|chains|ms_hab_7")
+OFFICIAL_SPLIT = {"split": "default: that of official scores"}
+
+
+class TrackSpec(EnvSpec):
+    """What specifications about the episodes of a track have in common."""
+
+    track: str
+
+    @property
+    def env_defaults(self) -> Mapping[str, Any]:
+        """Worlds, and the split of the track's official scores."""
+        # Here: the help of a command does not wait for the packs.
+        from mjhab.evaluation.score.manifest import TRACKS
+
+        usual = super().env_defaults
+        if self.track not in TRACKS:
+            return usual
+        return {**usual, "split": TRACKS[self.track].split}
 
 
 @dataclass(frozen=True)
-class ScoreSpec(EnvSpec):
+class ScoreSpec(TrackSpec):
     """Score a policy on the fixed episodes of a track.
 
     A score: `mjhab score --policy my.safetensors --track subtasks --out scores/mine`
@@ -41,7 +61,8 @@ class ScoreSpec(EnvSpec):
     policy: Annotated[str, Flag(metavar="NAME|FILE.py:CLASS|ws://HOST:PORT")] = "expert"
     """The policy, as for `mjhab eval`."""
     track: Annotated[str, TRACK] = "subtasks"
-    """The episodes: single subtasks, or whole household tasks."""
+    """The episodes: single subtasks, whole household tasks, or the seven subtasks that publications on MS-HAB
+    compare, by its rules."""
     out: Annotated[
         Path | None,
         Flag(metavar="FOLDER", shown="default: scores/<policy>_<track>_<split>"),
@@ -49,15 +70,18 @@ class ScoreSpec(EnvSpec):
     ] = None
     """Folder of the runs and of result.json; existing runs are continued."""
     episodes: Annotated[int | None, Flag(shown="default: all"), Bound(1)] = None
-    """At most N episodes per row, for a quick estimate; the score is marked as incomplete."""
+    """At most N episodes per row and seed, for a quick estimate; the score is marked as incomplete."""
+    films: Annotated[int, Bound(most=10_000)] = 0
+    """Film the first N episodes of each row and seed; films lie beside the reports in runs/."""
     env: Annotated[
         Mapping[str, Any],
         env_options(
             *OF_TRACK,
             docs={
-                "split": "Which homes: train, val or test. Official scores use the test homes.",
+                "split": "Which homes: train, val or test. Official scores use the test homes, those of ms_hab_7 val.",
                 "robot": "The robot (see: mjhab robots list). Scores of different robots cannot be compared.",
             },
+            shown=OFFICIAL_SPLIT,
             split="test",
             num_envs=8,
         ),
@@ -79,14 +103,23 @@ class ScoreSpec(EnvSpec):
             return self.out
         words = [without_password(self.policy), self.track, self.asked.split]
         words += [self.env["robot"]] if "robot" in self.env else []
-        return Path("scores") / "_".join(re.sub(r"[^\w.-]+", "-", word) for word in words)
+        if "assets" in self.env:
+            homes = pack_request(self.asked.assets)
+            stage = "" if homes.stage == OWN_STAGE else homes.stage
+            words += [Path(homes.place).name, stage]
+        return Path("scores") / "_".join(
+            re.sub(r"[^\w.-]+", "-", word) for word in words if word
+        )
 
 
 @dataclass(frozen=True)
-class CheckSpec:
+class CheckSpec(EnvSpec):
     """Verify a score: replay a hundred of its episodes, and compare their outcomes.
 
     `mjhab score check scores/mine/result.json`
+
+    Raises:
+        UsageError: a number is out of range.
     """
 
     file: Annotated[Path, Flag(metavar="FILE", positional=True)]
@@ -95,9 +128,8 @@ class CheckSpec:
         None
     )
     """Seed of the choice of episodes, to repeat a check."""
-
-    def __post_init__(self) -> None:
-        take_options(self)
+    env: Annotated[Mapping[str, Any], env_options("assets")] = field(default_factory=dict)
+    """The homes, which must be those of the score: fields of `EnvConfig`."""
 
 
 @dataclass(frozen=True)
@@ -119,13 +151,21 @@ class LeaderboardSpec:
 
 
 @dataclass(frozen=True)
-class StartsSpec(EnvSpec):
+class StartsSpec(TrackSpec):
     """Write the missing start digests of a track into the package; needed after a change of start states."""
 
     track: Annotated[str, TRACK] = "subtasks"
-    """The episodes: single subtasks, or whole household tasks."""
+    """The episodes, as for `mjhab score`."""
     env: Annotated[
         Mapping[str, Any],
-        env_options("split", "num_envs", "threads", split="test", num_envs=8),
+        env_options(
+            "split",
+            "assets",
+            "num_envs",
+            "threads",
+            shown=OFFICIAL_SPLIT,
+            split="test",
+            num_envs=8,
+        ),
     ] = field(default_factory=dict)
     """The homes, and what the starts are computed with: fields of `EnvConfig`."""

@@ -8,30 +8,42 @@ import numpy as np
 
 from mjhab.core.files.cache import write_atomic
 from mjhab.evaluation.evaluate import EvalSpec, make_env
-from mjhab.evaluation.score.manifest import STARTS_FILE, ScoreRow, manifest, start_digest
+from mjhab.evaluation.score.manifest import (
+    STARTS_FILE,
+    Manifest,
+    ScoreHomes,
+    ScoreRow,
+    manifest,
+    start_digest,
+    starts_key,
+)
+from mjhab.scenes.pack_source import Assets
 
 
-def write_starts(track: str, split: str, worlds: int, threads: int) -> int:
+def write_starts(
+    track: str, split: str, worlds: int, threads: int, assets: Assets = "builtin"
+) -> int:
     """Write the missing start digests of a track on a split into the package; returns how many are new.
 
     Rows that the file already has stay unchanged: delete them from the file after a change of the start states.
 
     Raises:
-        UsageError: the track or split is unknown.
+        UsageError: the track or split is unknown, or there is no such pack.
     """
-    asked = manifest(track, split)
+    homes = ScoreHomes.of(assets)
+    asked = manifest(track, split, homes=homes)
     content = (
         json.loads(STARTS_FILE.read_text(encoding="utf-8"))
         if STARTS_FILE.exists()
         else {}
     )
-    known = content.setdefault(f"{track}/{split}", {})
+    known = content.setdefault(starts_key(track, split, homes), {})
     count = 0
     for row in asked.rows:
         if row.name in known:
             continue
-        known[row.name] = starts_of(row, split, asked.seed, worlds, threads)
-        count += row.episodes
+        known[row.name] = starts_of(asked, row, worlds, threads, assets)
+        count += asked.count(row)
         _write(json.dumps(content, indent=0, sort_keys=True) + "\n")
     return count
 
@@ -43,9 +55,23 @@ def _write(text: str) -> None:
 
 
 def starts_of(
-    row: ScoreRow, split: str, seed: int, worlds: int, threads: int
+    asked: Manifest,
+    row: ScoreRow,
+    worlds: int,
+    threads: int,
+    assets: Assets = "builtin",
 ) -> list[str]:
-    """Start digests of a row's episodes, by index."""
+    """Start digests of a row's episodes, seed by seed, by index."""
+    return [
+        digest
+        for seed in asked.seeds
+        for digest in _starts_of(asked, row, seed, worlds, threads, assets)
+    ]
+
+
+def _starts_of(
+    asked: Manifest, row: ScoreRow, seed: int, worlds: int, threads: int, assets: Assets
+) -> list[str]:
     spec = EvalSpec.of(
         policy="zero",
         task=row.task,
@@ -54,10 +80,11 @@ def starts_of(
         episodes=row.episodes,
         worlds=worlds,
         seed=seed,
-        split=split,
+        split=asked.split,
+        assets=assets,
         threads=threads,
     )
-    env = make_env(spec, {})
+    env = make_env(spec, {"profile": asked.profile})
     digests = []
     try:
         for first in range(0, row.episodes, env.num_envs):

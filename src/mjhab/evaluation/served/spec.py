@@ -27,7 +27,7 @@ class ServeSpec(EnvSpec):
     """
 
     policy: Annotated[str, Flag(metavar="NAME", positional=True)]
-    """The policy: expert, student (with --task, --subtask and --target), random, zero, a CHECKPOINT.safetensors, or
+    """The policy: expert, learned (with --task, --subtask and --target), random, zero, a CHECKPOINT.safetensors, or
     FILE.py:CLASS."""
     dialect: Annotated[str, Flag(metavar="openpi|roboarena|behavior")] = "openpi"
     """Message format."""
@@ -49,9 +49,9 @@ class ServeSpec(EnvSpec):
             "assets",
             docs={
                 "seed": "Seed of the policy's random numbers.",
-                "task": "With student: the task.",
-                "subtask": "With student: the subtask.",
-                "target": "With student: the object or link.",
+                "task": "With learned: the task.",
+                "subtask": "With learned: the subtask.",
+                "target": "With learned: the object or link.",
                 "assets": "Asset pack of the homes that clients may use: builtin, the name of another pack, or the "
                 "folder of one.",
             },

@@ -23,7 +23,7 @@ from mjhab.evaluation.score.leaderboard import leaderboard
 from mjhab.evaluation.score.manifest import (
     DRAWER,
     ScoreRow,
-    Track,
+    ScoreTrack,
     manifest,
 )
 from mjhab.evaluation.score.result import (
@@ -50,7 +50,7 @@ ROWS = (
 def small() -> Any:
     """A track of three episodes."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setitem(manifests.TRACKS, "subtasks", Track(ROWS))
+        patch.setitem(manifests.TRACKS, "subtasks", ScoreTrack(ROWS))
         yield
 
 

@@ -56,7 +56,7 @@ DRAWER = "kitchen_counter/drawer3"
 
 
 @dataclass(frozen=True)
-class Track:
+class ScoreTrack:
     """What a score is made of.
 
     rows: its rows. split: of the homes of official scores. profile: of the rules. seeds: each row is done once per
@@ -70,8 +70,8 @@ class Track:
     continuing: bool = False
 
 
-TRACKS: dict[str, Track] = {
-    "subtasks": Track(
+TRACKS: dict[str, ScoreTrack] = {
+    "subtasks": ScoreTrack(
         (
             ScoreRow("tidy_house", "pick"),
             ScoreRow("tidy_house", "place"),
@@ -86,8 +86,10 @@ TRACKS: dict[str, Track] = {
             ScoreRow("set_table", "close", DRAWER),
         )
     ),
-    "chains": Track(tuple(ScoreRow(task, episodes=CHAIN_EPISODES) for task in HAB_TASKS)),
-    "ms_hab_7": Track(
+    "chains": ScoreTrack(
+        tuple(ScoreRow(task, episodes=CHAIN_EPISODES) for task in HAB_TASKS)
+    ),
+    "ms_hab_7": ScoreTrack(
         tuple(
             ScoreRow("set_table", subtask, target, PUBLISHED_EPISODES)
             for subtask, target in (

@@ -15,6 +15,7 @@ from mjhab.core.version import __version__
 
 if TYPE_CHECKING:
     from mjhab.envs import make, make_train
+    from mjhab.evaluation.datasets.chain_starts import chain_starts
     from mjhab.evaluation.datasets.export import export_lerobot, export_maniskill
     from mjhab.evaluation.datasets.label import label
     from mjhab.evaluation.datasets.replay import replay
@@ -44,6 +45,7 @@ __all__ = [
     "TargetRule",
     "TaskSpec",
     "__version__",
+    "chain_starts",
     "evaluate",
     "export_lerobot",
     "export_maniskill",
@@ -73,6 +75,7 @@ _LAZY = {
     "TaskSpec": "mjhab.tasks.household.spec",
     "PackRequest": "mjhab.scenes.pack_source",
     "PackSource": "mjhab.scenes.pack_source",
+    "chain_starts": "mjhab.evaluation.datasets.chain_starts",
     "evaluate": "mjhab.evaluation.evaluate",
     "export_lerobot": "mjhab.evaluation.datasets.export",
     "export_maniskill": "mjhab.evaluation.datasets.export",

@@ -299,6 +299,12 @@ COMMANDS: tuple[Command, ...] = (
     Command("episodes make", "write a file of episodes", "worlds.episodes:make"),
     Command("episodes check", "check one against homes", "worlds.episodes:check"),
     Command("spawns make", "compute start states once", "worlds.spawns:make"),
+    Command(
+        "spawns from",
+        "start states from recorded whole tasks",
+        "worlds.spawns:make_from_chains",
+        spec="evaluation.datasets.specs:ChainStartsSpec",
+    ),
     Command("spawns list", "sets of start states", "worlds.spawns:list_sets"),
     Command(
         "bench env",

@@ -6,7 +6,7 @@ import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 from mjhab.cli.output import Listing, report
 from mjhab.config.env_spec import PROFILE, EnvSpec, env_options
@@ -16,6 +16,9 @@ from mjhab.core.progress import progress_bar
 from mjhab.core.typed.bounds import Output, Positive
 from mjhab.core.typed.flags import Flag
 from mjhab.core.typed.options import take_options
+
+if TYPE_CHECKING:
+    from mjhab.evaluation.datasets.specs import ChainStartsSpec
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -116,6 +119,20 @@ def make(spec: SpawnsMakeSpec, json: bool) -> int:
         {**made, "seconds": seconds},
         f"{made['count']} starts in {made['homes']} homes in {spec.out}, {made['fallbacks']} of them fallbacks, "
         f"{seconds:.0f} s; layout {made['layout']}, digest {made['digest']}",
+    )
+    return 0
+
+
+def make_from_chains(spec: ChainStartsSpec, json: bool) -> int:
+    """Write a set of starts from recorded whole tasks."""
+    from mjhab.evaluation.datasets.chain_starts import make_chain_starts
+
+    made = make_chain_starts(spec).describe()
+    report(
+        json,
+        made,
+        f"{made['count']} starts in {made['homes']} homes in {spec.out}; layout {made['layout']}, digest "
+        f"{made['digest']}",
     )
     return 0
 

@@ -14,6 +14,7 @@ from mjhab.core.errors import UsageError, unknown_name
 from mjhab.core.typed.bounds import Bound, Output
 from mjhab.core.typed.flags import Flag
 from mjhab.core.typed.options import take_options
+from mjhab.tasks.subtasks.registry import SUBTASKS
 
 if TYPE_CHECKING:
     from mjhab.data.select.query import Filter
@@ -223,6 +224,33 @@ class ReplaySpec(SelectedSpec, EnvSpec):
             raise UsageError(
                 f"the camera '{FOLLOW}' gives colour only: add rgb to --render, as in --render rgb."
             )
+
+
+@dataclass(frozen=True, kw_only=True)
+class ChainStartsSpec(SelectedSpec):
+    """Make start states of a subtask from recorded whole tasks: where the drive before it ended, with what was held.
+
+    `mjhab spawns from runs/chains --subtask close --target kitchen_counter/drawer3 --out spawns/after_drives.npz`
+
+    Whole tasks are recorded by `mjhab generate --task set_table --navigate drive`. Use the starts with `mjhab eval
+    --spawns FILE.npz` and `mjhab train ... --spawns FILE.npz`.
+
+    Raises:
+        UsageError: an option is invalid.
+    """
+
+    subtask: Annotated[str, Flag(metavar="NAME")]
+    """The subtask that begins: pick, place, open, close or one of a plugin."""
+    target: Annotated[str, Flag(metavar="NAME", shown="default: all of them")] = ""
+    """Only its starts with this object type, object or link."""
+    out: Annotated[Path, Flag(metavar="FILE.npz"), Output()]
+    """The file to write."""
+    overwrite: bool = False
+    """Replace the file."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        SUBTASKS.check(self.subtask)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -303,7 +303,9 @@ class Session(ABC):
             self.log.show({"phase": f"evaluating {scene.name}: {done}/{episodes}"})
 
         tell(0)
-        judged = replace(scene, split=split)
+        # A file of starts is of one split.
+        spawns = scene.spawns if scene.split == split else ""
+        judged = replace(scene, split=split, spawns=spawns)
         evaluations = Evaluations(judged, self.judging, self.spec.seed, tell)
         return list(evaluations.run(self.folder.student, episodes, films, out).records)
 

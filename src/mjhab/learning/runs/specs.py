@@ -46,7 +46,7 @@ class Scene:
     """The fields of `EnvConfig` that say what a policy learns, as they are recorded with it.
 
     profile, spawn_rule, stillness, joint_dynamics: as in `EnvConfig`; "" takes those of the given data, or else the
-    defaults. robot: its name, "" for the default.
+    defaults. robot: its name, "" for the default. spawns: file of start states, "" for drawn ones.
     """
 
     task: str = "set_table"
@@ -60,6 +60,7 @@ class Scene:
     stillness: str = ""
     joint_dynamics: str = ""
     robot: str = ""
+    spawns: str = ""
 
     @property
     def name(self) -> str:
@@ -82,13 +83,14 @@ class Scene:
 
 
 def scene_names(scenes: Sequence[Scene]) -> list[str]:
-    """Distinct names of scenes; those of further asset packs have the name of the pack after an @."""
+    """Distinct names of scenes; after an @ the file of their starts, or the asset pack if it is a further one."""
     names: list[str] = []
     for scene in scenes:
         pack = scene.assets
         place = str(pack["place"] if isinstance(pack, dict) else pack)
         taken = scene.name in names
-        names.append(f"{scene.name}@{Path(place).name}" if taken else scene.name)
+        where = Path(scene.spawns).stem if scene.spawns else Path(place).name
+        names.append(f"{scene.name}@{where}" if taken or scene.spawns else scene.name)
     return names
 
 
@@ -377,7 +379,7 @@ def _also(like: Scene, text: str) -> Scene:
         )
     TASKS.check(task)
     SUBTASKS.check(subtask)
-    return dataclasses.replace(like, task=task, subtask=subtask, target=target)
+    return dataclasses.replace(like, task=task, subtask=subtask, target=target, spawns="")
 
 
 @dataclass(frozen=True, kw_only=True)

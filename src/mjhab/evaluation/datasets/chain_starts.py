@@ -1,0 +1,154 @@
+"""Start states from recorded whole tasks: a subtask begins where the drive before it really ended.
+
+Policies that are trained from drawn starts alone fail after a drive, which ends elsewhere, with another posture of the
+arm and with objects and drawers as the subtasks before left them. `chain_starts` is `mjhab.chain_starts`; ``mjhab
+spawns from`` calls `make_chain_starts`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from mjhab.config.env import EnvConfig
+from mjhab.core.errors import UsageError, unknown_name
+from mjhab.core.names import kind_of
+from mjhab.data.record.batches import batches
+from mjhab.data.store.places import entries
+from mjhab.data.store.reading import RecordedEpisode
+from mjhab.episodes.episode import Episode
+from mjhab.episodes.spawn_sets import (
+    SUFFIX,
+    SpawnRecipe,
+    SpawnRow,
+    SpawnSet,
+    header_of,
+    pack_rows,
+    write,
+)
+from mjhab.evaluation.datasets.specs import ChainStartsSpec, PlacesLike
+from mjhab.evaluation.recorded import recorded_env
+from mjhab.layout.addresses import Addresses
+
+_SAME = ("task", "split", "assets", "home", "spawn_rule", "robot", "joint_dynamics")
+"""Options of the environment that all episodes of a set have in common."""
+
+
+def chain_starts(path: PlacesLike, **options: Any) -> SpawnSet:
+    """Make start states of a subtask from recorded whole tasks, as ``mjhab spawns from`` does.
+
+    >>> import mjhab
+    >>> made = mjhab.generate("zero", task="set_table", navigate="teleport", episodes=1, horizon=3, out="runs/chain")
+    >>> found = mjhab.chain_starts("runs/chain", subtask="open", out="runs/chain_open.npz")
+    >>> len(found), found.recipe.subtask
+    (1, 'open')
+    >>> env = mjhab.make(task="set_table", subtask="open", spawns="runs/chain_open.npz", split="train")
+
+    Args:
+        path: a shard, a folder of shards, or several of them.
+        **options: further fields of `ChainStartsSpec`: ``subtask`` and ``out``, which must be given, ``target``,
+            ``where``, ``overwrite``.
+
+    Returns:
+        The set, for ``spawns`` of `EnvConfig`: one start for each time that such a subtask began.
+
+    Raises:
+        UsageError: an option is unknown or invalid, the episodes are of several environments, or no such subtask began.
+    """
+    return make_chain_starts(ChainStartsSpec.of(path, **options))
+
+
+def make_chain_starts(spec: ChainStartsSpec) -> SpawnSet:
+    """Make the set that a specification asks for.
+
+    Raises:
+        UsageError: see `chain_starts`.
+    """
+    if spec.out.suffix != SUFFIX:
+        raise UsageError(f"a spawn set ends with {SUFFIX}, got {spec.out}.")
+    if spec.out.exists() and not spec.overwrite:
+        raise UsageError(f"{spec.out} exists; add --overwrite, or choose another --out.")
+    config = _common_options(spec)
+    if config["subtask"]:
+        raise UsageError(
+            f"the episodes are of the subtask {config['subtask']} alone; starts come from whole tasks: mjhab generate "
+            f"--task {config['task']} --navigate drive"
+        )
+    rows: list[SpawnRow] = []
+    began: set[str] = set()
+    layout = None
+    for env, batch in batches(
+        spec.places, lambda run: recorded_env(run, num_envs=1), spec.filter()
+    ):
+        layout = env.layout
+        for recorded in batch:
+            began |= {f"{each.kind}/{kind_of(each.target)}" for each in _begun(recorded)}
+            episode = env.make_episode(recorded.record.seed, recorded.record.index)
+            for start in _starts(recorded, spec, episode, env.sim.addresses):
+                rows.append(
+                    replace(start, episode=replace(start.episode, index=len(rows)))
+                )
+    if layout is None or not rows:
+        wanted = "/".join(filter(None, (spec.subtask, spec.target)))
+        raise unknown_name("subtask that began in these episodes", wanted, sorted(began))
+    recipe = SpawnRecipe(
+        subtask=spec.subtask,
+        target=spec.target,
+        seed=rows[0].episode.seed,
+        count=len(rows),
+        **{name: config[name] for name in _SAME},
+    )
+    return write(spec.out, header_of(recipe, layout, {}), pack_rows(rows))
+
+
+def _common_options(spec: ChainStartsSpec) -> dict[str, Any]:
+    """Options of the environment of the episodes: those of `_SAME`, and the subtask.
+
+    Raises:
+        UsageError: they were recorded with several.
+    """
+    found: dict[str, Any] = {}
+    for entry in entries(spec.places):
+        given = entry.run.config.get("env") or {}
+        for name in (*_SAME, "subtask"):
+            value = given.get(name, getattr(EnvConfig, name, ""))
+            if found.setdefault(name, value) != value:
+                raise UsageError(
+                    f"the episodes have {name} {found[name]!r} and {value!r}; a spawn set has one: make a set of each, "
+                    "for instance with --where."
+                )
+    return found
+
+
+def _begun(recorded: RecordedEpisode) -> list[Any]:
+    """Entries of the plan whose subtask was active in a control step."""
+    plan = recorded.record.plan
+    active = np.unique(recorded.array("subtasks/active")).tolist()
+    return [plan[k] for k in active if k < len(plan)]
+
+
+def _starts(
+    recorded: RecordedEpisode,
+    spec: ChainStartsSpec,
+    episode: Episode,
+    addresses: Addresses,
+) -> Iterator[SpawnRow]:
+    """The states in which a recorded episode began the subtask, with objects and links as they are then."""
+    active = recorded.array("subtasks/active")
+    states = recorded.array("states/qpos")
+    for position, entry in enumerate(recorded.record.plan):
+        about = (entry.target, kind_of(entry.target))
+        steps = np.flatnonzero(active == position)
+        if entry.kind != spec.subtask or not len(steps):
+            continue
+        if spec.target and spec.target not in about:
+            continue
+        qpos = states[steps[0]]
+        columns = addresses.object_q[:, None] + np.arange(7)
+        now = replace(
+            episode, object_pose=qpos[columns], link_q=qpos[addresses.link_q].copy()
+        )
+        yield SpawnRow(now, qpos, position, fallback=False, tries=1)

@@ -154,6 +154,7 @@ class TaskLoop(VectorEnv, ABC):
             nav_distance,
             [alone] if alone else TASKS[config.task].subtasks,
         )
+        self._way = nav_distance
         self.rewarder = Rewarder(
             self.num_envs, rules, self.layout, self.sensing, self._like
         )
@@ -472,6 +473,7 @@ class TaskLoop(VectorEnv, ABC):
         terminated: Array = outcome.place_broken
         if not self.config.runs_to_horizon:
             terminated = terminated | outcome.success | outcome.force_exceeded
+        terminated = terminated & outcome.done
         truncated = outcome.done & ~terminated
         fresh = self._no
         seen: dict[str, Array] | None = None
@@ -495,6 +497,12 @@ class TaskLoop(VectorEnv, ABC):
             self.due = outcome.done
         obs = self._observe() if seen is None else self._observe(seen, changed)
         return self._keyed(obs), reward, terminated, truncated, self._info(events) | final
+
+    def goal_distance(self) -> Array:
+        """(W,) length of the path to the goal of Navigate [m], as the dense reward of this environment counts it."""
+        signals = self.signals
+        assert signals is not None
+        return self._way(self._reward_inputs(self._sense(), signals, self.progress))
 
     def link_state(self) -> Array:
         """(W, 5) state of the active subtask's link, see `Sensing.link_state`; it is not part of observations."""

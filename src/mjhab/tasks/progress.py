@@ -57,7 +57,8 @@ class StepOutcome:
     success: Array
     """The whole plan is completed; in continuous evaluation: the subtask succeeds in this step."""
     fail: Array
-    """The episode failed: force over the limit, a finished Place undone, or the horizon reached without success."""
+    """The episode failed: force over the limit, a finished Place undone, or the horizon reached without success. With
+    `TaskConfig.goes_on` of a chain: in this step."""
     timeout: Array
     """The horizon of the active subtask is reached and it was not completed in this step."""
     force_exceeded: Array
@@ -133,9 +134,10 @@ def advance(
 
     A subtask is completed when it succeeds, with its force within the limit, while every finished Place still holds.
     The next one then starts with its own horizon and zero force. A finished plan has no force limit.
-    With ``config.continuous`` the pointer stays and the episode runs to the horizon: success may be lost again, and too
-    much force only marks the episode as failed. With ``config.hold_steps`` it ends that many steps after the first
-    success or excess of force. The values of the subtask that ended are in the ``progress`` passed in.
+    With ``config.continuous`` the pointer stays and the episode runs to the horizon: success may be lost again, and
+    too much force only marks the episode as failed. With ``config.hold_steps`` it ends that many steps after the
+    first success or excess of force. With ``config.goes_on`` only success and time end a chain. The values of the
+    subtask that ended are in the ``progress`` passed in.
 
     Returns:
         The new progress and the outcome of this step.
@@ -150,7 +152,7 @@ def advance(
     pointer = progress.pointer + advanced
     success = advanced & (pointer >= plan.length)
     fail = force_exceeded | place_broken | timeout
-    done = success | fail
+    done = success | (timeout if config.goes_on else fail)
     moved = advanced & ~success
     outcome = StepOutcome(
         advanced,

@@ -51,6 +51,10 @@ class TaskConfig:
     """With ``continuous``: control steps for which an episode goes on after its first success, or after its force
     exceeds the limit; -1 for all steps to the horizon. Demonstrations need only a few."""
 
+    goes_on: bool = False
+    """In a chain: too much force, or a finished Place that is undone, mark the episode as failed and do not end it, as
+    published evaluations of the original count. What was failed cannot be finished: force is not taken back."""
+
     ee_rest_tol: float = 0.05
     arm_tol: float = 0.2
     arm_tol_grasped: float = 0.6

@@ -84,8 +84,7 @@ class Sensing:
             state.finger_force[rows[:, None], :, column]
             * focus.has_columns[..., None, None]
         )
-        joint_range = self._range[focus.link]
-        obj_pos = state.object_pose[rows[:, None], tables.obj, :3] * focus.has_obj
+        joint_min, joint_max = self.joint_range(focus)
         return WorldState(
             base_pose=state.robot_q[:, BASE],
             robot_q=state.robot_q,
@@ -99,13 +98,22 @@ class Sensing:
             fingers_force=state.finger_net.sum(axis=1),
             target_contact=state.touch[rows, column[:, 0]] & focus.has_columns[:, 0],
             ee_contact=state.ee_contact[rows, column[:, 0]] & focus.has_columns[:, 0],
-            plan_obj_pos=obj_pos,
+            plan_obj_pos=self.plan_obj_pos(state, tables, focus),
             joint_q=self.joint_now(state, focus),
-            joint_min=joint_range[:, 0],
-            joint_max=joint_range[:, 1],
+            joint_min=joint_min,
+            joint_max=joint_max,
             joint_start=joint_start,
             held_force=force[:, 1],
         )
+
+    def plan_obj_pos(self, state: SimState, tables: Tables, focus: Focus) -> Array:
+        """(W, S, 3) position of the object of every subtask of the plans in the world [m], zeros if it has none."""
+        return state.object_pose[self._rows[:, None], tables.obj, :3] * focus.has_obj
+
+    def joint_range(self, focus: Focus) -> tuple[Array, Array]:
+        """(W,) lowest and highest joint position of the active subtask's link [m or rad], 0 without one."""
+        found = self._range[focus.link]
+        return found[:, 0], found[:, 1]
 
     def joint_now(self, state: SimState, focus: Focus) -> Array:
         """(W,) joint position of the active subtask's link [m or rad], 0 without one."""

@@ -1,0 +1,317 @@
+"""Arguments of MS-HAB's environments, as options of ours: mapped, told once that they mean nothing, or refused."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from mjhab.compat.mshab.files.plans import TaskPlan
+from mjhab.compat.mshab.files.subtasks import SUBTASK_CLASSES, SubtaskConfig
+from mjhab.compat.mshab.worlds.limits import changed_configs, default_configs
+from mjhab.core.errors import UsageError, unknown_name, warn_once, wrong_value
+from mjhab.core.typed.checks import check
+from mjhab.robots.registry import DEFAULT_ROBOT
+
+OBS_MODES: dict[str, tuple[str, ...]] = {
+    "none": (),
+    "state": (),
+    "state_dict": (),
+    "depth": ("depth",),
+    "rgb": ("rgb",),
+    "rgbd": ("rgb", "depth"),
+    "rgb+depth": ("rgb", "depth"),
+    "segmentation": ("seg",),
+    "rgb+segmentation": ("rgb", "seg"),
+    "depth+segmentation": ("depth", "seg"),
+    "rgb+depth+segmentation": ("rgb", "depth", "seg"),
+}
+"""Observation modes of ManiSkill that are answered, and the pictures they show."""
+REWARD_MODES = ("normalized_dense", "dense", "sparse", "none")
+RENDER_MODES = ("rgb_array", "all", "sensors")
+BACKENDS = {
+    "auto": "cpu",
+    "cpu": "cpu",
+    "physx_cpu": "cpu",
+    "gpu": "auto",
+    "cuda": "auto",
+    "physx_cuda": "auto",
+    "warp": "warp",
+}
+"""Where physics runs, and our backend; a GPU that is not there is the CPU."""
+_NO_MEANING = {
+    "render_backend": "pictures are drawn where physics runs",
+    "enable_shadow": "shadows are those of the way of drawing",
+    "human_render_camera_configs": "human views have one camera",
+    "viewer_camera_configs": "`mjhab view` has a camera of its own",
+    "sim_config": "physics is the same in all environments",
+    "parallel_in_single_scene": "every world is drawn alone",
+    "enhanced_determinism": "episodes depend on their seeds alone, always",
+    "invisible_goals_in_human_render": "human views show no goals",
+}
+"""Arguments that change nothing here, and why."""
+_FIXED: dict[str, tuple[Any, str]] = {
+    "robot_force_mult": (0.001, "the reward has the published weight of forces"),
+    "robot_force_penalty_min": (0.2, "the reward has the published threshold of forces"),
+    "target_randomization": (False, "objects start where the plan says"),
+    "dist_fn": ("geodesic", "the reward of Navigate goes around the furniture"),
+    "use_rot_rew": (True, "the reward of Navigate has its term for the heading"),
+    "restrict_articulation_target_area": (True, "Navigate to furniture ends before it"),
+}
+"""Arguments of which one value is answered, and why no other."""
+
+
+@dataclass
+class Arguments:
+    """What an environment was asked for.
+
+    Attributes:
+        subtask: "" for a whole task.
+        num_envs: worlds.
+        obs_mode: key of OBS_MODES. reward_mode: one of REWARD_MODES. control_mode: that of our controllers.
+        render_mode: one of RENDER_MODES, or None.
+        camera_size: (height, width) [px].
+        backend: of `mjhab.make`.
+        task_plans: plans to draw from; none: episodes of mjhab's generator.
+        scene_builder_cls: data set of the plans, or its scene builder.
+        spawn_data_fp: file of starts of the plans.
+        equal_homes: ``require_build_configs_repeated_equally_across_envs``.
+        random_homes: ``randomize_build_configs_per_env``.
+        redraws_homes: a reset of all worlds draws homes anew.
+        tells_events: ``add_event_tracker_info``.
+        open_start: share of resets of Open that find the joint ajar.
+        configs: limits by kind of subtask.
+        mjhab_options: further options of `mjhab.make`.
+    """
+
+    subtask: str
+    num_envs: int = 1
+    obs_mode: str = "state"
+    reward_mode: str = "normalized_dense"
+    control_mode: str = "pd_joint_delta_pos"
+    render_mode: str | None = None
+    camera_size: tuple[int, int] = (128, 128)
+    backend: str = "cpu"
+    task_plans: list[TaskPlan] = field(default_factory=list)
+    scene_builder_cls: Any = ""
+    spawn_data_fp: Path | None = None
+    equal_homes: bool = True
+    random_homes: bool = False
+    redraws_homes: bool = False
+    tells_events: bool = False
+    open_start: float = 0.0
+    configs: dict[str, SubtaskConfig] = field(default_factory=dict)
+    mjhab_options: dict[str, Any] = field(default_factory=dict)
+
+
+def read_arguments(subtask: str, given: Mapping[str, Any]) -> Arguments:
+    """Read the keyword arguments of an environment.
+
+    Raises:
+        UsageError: an argument is unknown, or has a value that cannot be honoured; the message says what can.
+    """
+    made = Arguments(subtask, configs=default_configs(subtask))
+    for name, value in given.items():
+        if name in _NO_MEANING:
+            if value:
+                warn_once(f"{name} changes nothing in mjhab: {_NO_MEANING[name]}.")
+        elif name in _FIXED:
+            only, why = _FIXED[name]
+            if value != only:
+                raise wrong_value(name, value, repr(only), f"Here {why}.")
+        elif name in _TAKEN:
+            _TAKEN[name](made, value)
+        else:
+            raise unknown_name(
+                "argument of MS-HAB's environments",
+                name,
+                (*_TAKEN, *_FIXED, *_NO_MEANING),
+            )
+    if made.random_homes and made.equal_homes:
+        raise UsageError(
+            "randomize_build_configs_per_env=True needs require_build_configs_repeated_equally_across_envs=False."
+        )
+    if "reconfiguration_freq" not in given:
+        made.redraws_homes = made.num_envs == 1
+    _check_plans(made)
+    return made
+
+
+def _check_plans(made: Arguments) -> None:
+    """Refuse plans that do not fit the environment, or one another."""
+    plans = made.task_plans
+    if not plans:
+        if made.spawn_data_fp is not None:
+            raise UsageError(
+                "spawn_data_fp needs task_plans, whose uids name the starts in it."
+            )
+        return
+    for number, plan in enumerate(plans):
+        if not plan.subtasks:
+            raise wrong_value("subtasks", [], "one or more", where=f"plan {number}")
+    kinds = [tuple(subtask.type for subtask in plan.subtasks) for plan in plans]
+    if made.subtask and set(kinds) != {(made.subtask,)}:
+        wrong = next(kind for kind in kinds if kind != (made.subtask,))
+        raise wrong_value(
+            "task_plans",
+            ", ".join(wrong),
+            f"plans of one {made.subtask} each",
+            f"Take {_env_id(wrong)} for these plans.",
+        )
+    if len(set(kinds)) > 1:
+        raise wrong_value(
+            "task_plans",
+            sorted(set(kinds))[:2],
+            "plans with the same subtasks in the same order",
+        )
+    if made.subtask and made.spawn_data_fp is None:
+        raise UsageError(
+            f"{_env_id((made.subtask,))} with task_plans needs spawn_data_fp, the file of their starts; "
+            "`mjhab episodes plans` writes both."
+        )
+
+
+def _env_id(kinds: tuple[str, ...]) -> str:
+    return (
+        f"{kinds[0].capitalize()}SubtaskTrain-v0"
+        if len(kinds) == 1 and kinds[0] in SUBTASK_CLASSES
+        else "SequentialTask-v0"
+    )
+
+
+# -- single arguments --------------------------------------------------------------------------------------------------
+
+
+def _name_of(
+    attribute: str, kind: str, valid: tuple[str, ...]
+) -> Callable[[Arguments, Any], None]:
+    """Taker of a name in a closed list; None stands for the default."""
+
+    def take(made: Arguments, value: Any) -> None:
+        if value is None:
+            return
+        if value not in valid:
+            raise unknown_name(kind, value, valid)
+        setattr(made, attribute, value)
+
+    return take
+
+
+def _plain(attribute: str) -> Callable[[Arguments, Any], None]:
+    """Taker of a value as it is; None stands for the default."""
+
+    def take(made: Arguments, value: Any) -> None:
+        if value is not None:
+            setattr(made, attribute, value)
+
+    return take
+
+
+def _take_robot(made: Arguments, value: Any) -> None:
+    name = value[0] if isinstance(value, list | tuple) and len(value) == 1 else value
+    if name not in (None, DEFAULT_ROBOT):
+        raise wrong_value(
+            "robot_uids",
+            value,
+            repr(DEFAULT_ROBOT),
+            "Scripts of MS-HAB act on 13 numbers of this robot; for others see `mjhab robots list` and mjhab.make.",
+        )
+
+
+def _take_render_mode(made: Arguments, value: Any) -> None:
+    if value == "human":
+        raise wrong_value(
+            "render_mode",
+            value,
+            RENDER_MODES,
+            "There is no window; `mjhab view` shows worlds in a browser.",
+        )
+    _name_of("render_mode", "render mode", RENDER_MODES)(made, value)
+
+
+def _take_backend(made: Arguments, value: Any) -> None:
+    name = "auto" if value is None else str(value).partition(":")[0]
+    if name not in BACKENDS:
+        raise unknown_name("sim_backend", value, BACKENDS)
+    made.backend = BACKENDS[name]
+
+
+def _take_shader(made: Arguments, value: Any) -> None:
+    if value and str(value).startswith("rt"):
+        warn_once(
+            f"shader_dir={value!r}: pictures are drawn as with 'minimal'; mjhab has no ray-traced ones."
+        )
+
+
+def _take_sensors(made: Arguments, value: Any) -> None:
+    """Size of the pictures, for all cameras; they have one size here."""
+    sizes = set()
+    for config in _camera_configs(value or {}):
+        for name in config:
+            if name == "shader_pack":
+                _take_shader(made, config[name])
+            elif name not in ("width", "height"):
+                raise unknown_name(
+                    "entry of sensor_configs", name, ("width", "height", "shader_pack")
+                )
+        sizes.add((config.get("height", 128), config.get("width", 128)))
+    if len(sizes) > 1:
+        raise wrong_value("sensor_configs", value, "one width and height for all cameras")
+    if sizes:
+        made.camera_size = sizes.pop()
+
+
+def _camera_configs(value: Mapping[str, Any]) -> list[Mapping[str, Any]]:
+    """Settings for all cameras, and those of single ones with what they leave to them."""
+    check(
+        isinstance(value, Mapping), "sensor_configs", value, "a mapping of width, height"
+    )
+    common = {k: v for k, v in value.items() if not isinstance(v, Mapping)}
+    single = [{**common, **v} for v in value.values() if isinstance(v, Mapping)]
+    return [*single] if single else ([common] if common else [])
+
+
+def _take_configs(made: Arguments, value: Any) -> None:
+    changed_configs(made.configs, value)
+
+
+def _take_ajar(made: Arguments, value: Any) -> None:
+    # mshab/envs/open.py: a tenth of the worlds.
+    made.open_start = 0.1 if value else 0.0
+
+
+def _take_reconfiguration(made: Arguments, value: Any) -> None:
+    made.redraws_homes = made.num_envs == 1 if value is None else bool(value)
+
+
+def _take_spawns(made: Arguments, value: Any) -> None:
+    made.spawn_data_fp = None if value is None else Path(value).expanduser()
+
+
+def _take_plans(made: Arguments, value: Any) -> None:
+    made.task_plans = list(value or ())
+
+
+_TAKEN: dict[str, Callable[[Arguments, Any], None]] = {
+    "num_envs": _plain("num_envs"),
+    "obs_mode": _name_of("obs_mode", "obs_mode", tuple(OBS_MODES)),
+    "reward_mode": _name_of("reward_mode", "reward_mode", REWARD_MODES),
+    "control_mode": _plain("control_mode"),
+    "render_mode": _take_render_mode,
+    "robot_uids": _take_robot,
+    "sim_backend": _take_backend,
+    "shader_dir": _take_shader,
+    "sensor_configs": _take_sensors,
+    "task_plans": _take_plans,
+    "scene_builder_cls": _plain("scene_builder_cls"),
+    "spawn_data_fp": _take_spawns,
+    "require_build_configs_repeated_equally_across_envs": _plain("equal_homes"),
+    "randomize_build_configs_per_env": _plain("random_homes"),
+    "reconfiguration_freq": _take_reconfiguration,
+    "add_event_tracker_info": _plain("tells_events"),
+    "task_cfgs": _take_configs,
+    "randomly_slightly_open_articulation": _take_ajar,
+    "mjhab_options": _plain("mjhab_options"),
+}
+"""Arguments that are honoured."""

@@ -1,0 +1,108 @@
+"""The environment of ours behind the arguments of MS-HAB, and how its episodes are drawn."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from mjhab.compat.mshab.files.plans import task_of_dataset
+from mjhab.compat.mshab.worlds.arguments import OBS_MODES, Arguments
+from mjhab.compat.mshab.worlds.draws import OwnDraw, PlanDraw, Starts
+from mjhab.compat.mshab.worlds.limits import ENDLESS, overrides_of
+from mjhab.config.profiles import unbound
+from mjhab.core.errors import UsageError
+from mjhab.envs.catalog import make
+from mjhab.envs.loop import TaskLoop
+from mjhab.sim.backends import resolve
+from mjhab.tasks.household.registry import TASKS
+
+DEFAULT_TASK = "set_table"
+"""Task of an environment without plans that is not told one."""
+PROFILE = "ms_hab"
+
+
+@dataclass(frozen=True)
+class Setting:
+    """``worlds``: the environment of ours. ``draw``: which episodes its worlds get."""
+
+    worlds: TaskLoop
+    draw: PlanDraw | OwnDraw
+
+
+def open_setting(arguments: Arguments) -> Setting:
+    """Make the environment of ours, with the values of profile "ms_hab".
+
+    Raises:
+        UsageError: plans, starts or options do not fit.
+    """
+    starts = _starts(arguments)
+    chosen = _task_options(arguments) if starts is None else starts.options
+    options = {**_options(arguments, chosen), **chosen, **arguments.mjhab_options}
+    if starts is not None and options["backend"] == "warp":
+        # On a device the number of an episode is its place in the pool.
+        options["starts"] = sum(map(starts.spawns, range(len(starts.plans))))
+    worlds = make(**options)
+    if starts is None:
+        return Setting(worlds, OwnDraw(arguments.num_envs))
+    return Setting(worlds, PlanDraw(arguments, starts, home_numbers(starts.plans)))
+
+
+def home_numbers(plans: Any) -> dict[str, int]:
+    """Index of every home of plans by its name there: the names in order."""
+    names = sorted({plan.build_config_name or "" for plan in plans})
+    return {name: number for number, name in enumerate(names)}
+
+
+def _starts(arguments: Arguments) -> Starts | None:
+    """The starts of the plans; None without plans."""
+    if not arguments.task_plans:
+        return None
+    raise UsageError("task_plans")
+
+
+def _task_options(arguments: Arguments) -> dict[str, Any]:
+    """Task and split of an environment without plans."""
+    given = arguments.scene_builder_cls
+    if not given:
+        return {}
+    name = given if isinstance(given, str) else given.__name__
+    task, split = task_of_dataset(name)
+    return {"task": task, "split": split}
+
+
+def _options(arguments: Arguments, chosen: dict[str, Any]) -> dict[str, Any]:
+    """Options of `mjhab.make` but those of the episodes."""
+    subtask = arguments.subtask
+    task = {"task": DEFAULT_TASK, **chosen, **arguments.mjhab_options}["task"]
+    kinds = (subtask,) if subtask else tuple(TASKS[task].subtasks)
+    backend = resolve(arguments.backend)
+    values = unbound({"profile": PROFILE}, subtask, trains=False)
+    return {
+        **values,
+        "task": task,
+        "subtask": subtask,
+        "num_envs": arguments.num_envs,
+        "backend": backend,
+        "obs_mode": "+".join(OBS_MODES[arguments.obs_mode]) or "state",
+        "camera_size": arguments.camera_size,
+        "control_mode": arguments.control_mode,
+        # The wrapper of actions holds the head still, or does not.
+        "stationary": (),
+        "reward_mode": _reward(arguments),
+        "horizon": ENDLESS,
+        "continuous": True if subtask else None,
+        "autoreset": "disabled",
+        "navigate": "drive",
+        "open_start": arguments.open_start,
+        "overrides": {
+            **overrides_of(arguments.configs, kinds),
+            **({} if subtask else {"goes_on": True}),
+        },
+    }
+
+
+def _reward(arguments: Arguments) -> str:
+    if not arguments.subtask:
+        return "none"
+    # Sparse ones are computed from success and failure.
+    return "none" if arguments.reward_mode == "sparse" else arguments.reward_mode

@@ -1,0 +1,1 @@
+"""Wrappers of MS-HAB and ManiSkill, under their names and arguments."""

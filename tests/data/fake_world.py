@@ -128,7 +128,7 @@ class FakeEnv:
         )
 
     def _settle(self, mask: np.ndarray) -> None:
-        self.signals = self.judged = self._signals()
+        self.signals = self.outcome_signals = self._signals()
         self.homes = [w.home for w in self.worlds]
         if self.tracker is None:
             self.tracker = SubtaskTracker(self.signals)
@@ -148,10 +148,10 @@ class FakeEnv:
         for w, world in enumerate(self.worlds):
             if live[w]:
                 world.step(actions[w])
-        self.judged = self._signals()
+        self.outcome_signals = self._signals()
         assert self.tracker is not None
         events = self.tracker.step(
-            kind, self.judged, np.array([w.t for w in self.worlds]), live
+            kind, self.outcome_signals, np.array([w.t for w in self.worlds]), live
         )
         labels = self.tracker.labels(kind)
         ended: list[dict[str, Any] | None] = [None] * self.num_envs

@@ -99,9 +99,8 @@ class Watching(RandomPolicy):
         super().__init__(3)
         self.specs = specs
         self.numpy = {n: ObservationEncoder(env, spec) for n, spec in specs.items()}
-        self.torch = {
-            n: ObservationEncoder(InTorch(env), spec) for n, spec in specs.items()
-        }
+        tensors: Any = InTorch(env)
+        self.torch = {n: ObservationEncoder(tensors, spec) for n, spec in specs.items()}
         self.agents = {
             n: AgentEncoder(env, spec, privileged=False) for n, spec in specs.items()
         }

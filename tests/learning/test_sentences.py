@@ -26,7 +26,6 @@ from mjhab.learning.demos import (
 from mjhab.learning.observation.sentences import SENTENCE_WIDTH, encode_sentence
 from mjhab.learning.observation.spec import ObservationSpec
 from mjhab.learning.policy import StudentPolicy
-from mjhab.learning.reinforcement.agent_encoder import AgentEncoder
 from mjhab.learning.runs.specs import ImitationSpec
 from mjhab.learning.runs.training import Trainer
 from mjhab.learning.students.heads import make_student
@@ -42,7 +41,7 @@ from mjhab.tasks.subtasks.registry import SUBTASKS
 from tests.data.fake_world import FakeEnv
 from tests.data.make import record
 from tests.learning.reinforcement.toy import LAYOUT as LINE
-from tests.learning.reinforcement.toy import Toy
+from tests.learning.reinforcement.toy import Toy, encoder_of
 from tests.learning.small import (
     INPUTS,
     STATE,
@@ -326,7 +325,7 @@ def test_agents_of_reinforcement_learning_see_the_sentence_of_their_episode() ->
         LINE, inputs=dataclasses.replace(LINE.inputs, sentence=True)
     )
     env = Toy(2)
-    sight = AgentEncoder(env, told, privileged=False)
+    sight = encoder_of(env, told)
     plan = ({"kind": "close", "target": DRAWER},)
     sentences = WORDINGS["close"]
     specs = [{"plan": plan, "instructions": (one,)} for one in sentences]

@@ -113,7 +113,7 @@ def test_all_targets_come_last_and_chains_have_no_paper_rows(tmp_path: Path) -> 
     tables = label_tables(
         "pick", {g: m for g, m in grouped(records).items() if g.kind == "pick"}
     )
-    assert {table.group.way for table in tables} == {CHAINS}
+    assert {table.group.suite for table in tables} == {CHAINS}
     assert {column.name for table in tables for column in table.columns} == {
         "mjhab, published rules",
         "mjhab, own rules",

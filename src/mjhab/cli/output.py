@@ -97,8 +97,8 @@ def print_table(
     console.print(table)
 
 
-def _widths(rows: Sequence[Sequence[object]], room: int) -> list[int] | None:
-    """Width of every column so that no word is broken, at most ``room`` together; None if there is no room."""
+def _widths(rows: Sequence[Sequence[object]], available: int) -> list[int] | None:
+    """Width of every column so that no word is broken, at most ``available`` together; None if that is too little."""
     cells = [[str(row[i]) for row in rows] for i in range(len(rows[0]))]
     widths = [
         max(cell_len(word) for cell in column for word in [*cell.split(), ""])
@@ -108,7 +108,7 @@ def _widths(rows: Sequence[Sequence[object]], room: int) -> list[int] | None:
         max(cell_len(line) for cell in column for line in [*cell.splitlines(), ""])
         for column in cells
     ]
-    spare = room - sum(widths)
+    spare = available - sum(widths)
     if spare < 0:
         return None
     # What a column with a small wish leaves over goes to those with larger ones.

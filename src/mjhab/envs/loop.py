@@ -84,9 +84,9 @@ class TaskLoop(VectorEnv, ABC):
     A subclass sets ``sim``, ``tables`` and ``tracker`` and implements the abstract methods. Arrays (W, ...) that were
     returned are never modified afterwards.
 
-    The attributes ``state``, ``signals``, ``progress`` and ``focus`` describe the present state. ``judged`` holds the
-    signals from which success was computed in the last step. It differs from ``signals`` in worlds that began a subtask
-    in that step, where it belongs to the subtask before.
+    The attributes ``state``, ``signals``, ``progress`` and ``focus`` describe the present state. ``outcome_signals``
+    holds the signals from which success was computed in the last step. It differs from ``signals`` in worlds that
+    began a subtask in that step, where it belongs to the subtask before.
 
     Args:
         config: options of the environment.
@@ -193,7 +193,7 @@ class TaskLoop(VectorEnv, ABC):
         """``joint_start`` (W,): joint position [m or rad] of the active link when its subtask began. ``grip`` (W,):
         gripper entry of the last action."""
         self.signals: Signals | None = None
-        self.judged: Signals | None = None
+        self.outcome_signals: Signals | None = None
         self.state: SimState = self.sim.state()
         # A world that was never reset is treated as one whose episode has ended.
         begun = progress_rules.start(self.tables.arrays, self.task_config)
@@ -387,7 +387,9 @@ class TaskLoop(VectorEnv, ABC):
         self.signals = (
             signals if self.signals is None else where_rows(mask, signals, self.signals)
         )
-        self.judged = self.signals if self.judged is None else self.judged
+        self.outcome_signals = (
+            self.signals if self.outcome_signals is None else self.outcome_signals
+        )
         self.tracker.begin(mask, self.signals, self.progress)
         self.rewarder.begin(mask, self._reward_inputs(world, signals, self.progress))
 
@@ -426,7 +428,7 @@ class TaskLoop(VectorEnv, ABC):
         if may_hold(outcome.advanced):
             self.follow(new)
         self.signals = signals
-        self.judged = signals
+        self.outcome_signals = signals
         self.success = outcome.success
         self.fail = outcome.fail
         return self._finish(events, reward, outcome)

@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING
 from mjhab.core.errors import UsageError, shown
 
 if TYPE_CHECKING:
-    from mjhab.envs.parts.worlds import ExpertWorlds
+    from mjhab.envs.parts.worlds import PolicyWorlds
     from mjhab.experts.policy import ExpertPolicy
     from mjhab.tasks.style import Styles
 
 
-def make_expert(env: ExpertWorlds, styles: Styles | None = None) -> ExpertPolicy:
+def make_expert(env: PolicyWorlds, styles: Styles | None = None) -> ExpertPolicy:
     """Make the expert policy of an environment: one script per world, restarted with every subtask.
 
     Args:

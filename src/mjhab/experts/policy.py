@@ -13,7 +13,7 @@ from mjhab.core.errors import UsageError
 from mjhab.core.registration.plugins import raised_text, resolved
 from mjhab.core.seeding import stream
 from mjhab.envs.parts.world_view import WorldView
-from mjhab.envs.parts.worlds import ExpertWorlds
+from mjhab.envs.parts.worlds import PolicyWorlds
 from mjhab.experts.arm import motion
 from mjhab.experts.gaze import Gaze
 from mjhab.experts.phases import phases_in, phases_of
@@ -82,7 +82,7 @@ def _blamed(subtask: str) -> Iterator[None]:
         ) from error
 
 
-def _kinds_in(env: ExpertWorlds) -> tuple[str, ...]:
+def _kinds_in(env: PolicyWorlds) -> tuple[str, ...]:
     """Names of the subtasks that an environment asks its expert for; without those that it does by teleports."""
     config = env.config
     kinds = (config.subtask,) if config.subtask else TASKS[config.task].subtasks
@@ -106,7 +106,7 @@ class ExpertPolicy:
 
     name = "expert"
 
-    def __init__(self, env: ExpertWorlds, styles: Styles | None = None) -> None:
+    def __init__(self, env: PolicyWorlds, styles: Styles | None = None) -> None:
         self._styles = styles or Styles()
         self._teleports = env.config.teleports
         # A missing expert is reported now, not in the middle of an episode.

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from mjhab.envs.parts.world_view import WorldView
-from mjhab.envs.parts.worlds import ExpertWorlds
+from mjhab.envs.parts.worlds import PolicyWorlds
 from mjhab.episodes.grasps.candidates import KINDS, Grasps
 from mjhab.experts.arm import motion
 from mjhab.robots.parts import ActionColumns
@@ -32,7 +32,7 @@ class StyledView(WorldView):
     ``style.speed``.
     """
 
-    def __init__(self, env: ExpertWorlds, world: int) -> None:
+    def __init__(self, env: PolicyWorlds, world: int) -> None:
         super().__init__(env, world)
         self.style = PLAIN
 

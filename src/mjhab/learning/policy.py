@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from mjhab.core.seeding import stream
 from mjhab.learning.observation.encoder import EncodedObs, ObservationEncoder
-from mjhab.learning.observation.spec import ActingEnv
 from mjhab.learning.students.student import Student
+
+if TYPE_CHECKING:
+    from mjhab.envs.parts.worlds import PolicyWorlds
 
 INFERENCE_ROWS = 16
 """Fixed batch size of inference [worlds]. The last bits of the actions depend on the batch size, because it changes the
@@ -37,7 +39,7 @@ class StudentPolicy:
     def __init__(
         self,
         student: Student,
-        env: ActingEnv,
+        env: PolicyWorlds,
         seed: int = 0,
         pool: int = 1,
         instruction: str = "",

@@ -24,8 +24,8 @@ from mjhab.learning.require import require_learn
 from mjhab.rollout.policy import Policy, RolloutEnv
 
 if TYPE_CHECKING:
+    from mjhab.envs.parts.worlds import PolicyWorlds
     from mjhab.learning.checkpoint import Checkpoint
-    from mjhab.learning.observation.spec import ActingEnv
 
 AND = "+"
 SUFFIX = ".safetensors"
@@ -147,7 +147,7 @@ class CheckpointFiles(OpenedPolicy):
         from mjhab.learning.checkpoint import student_of
         from mjhab.learning.policy import StudentEnsemble, StudentPolicy
 
-        acting = cast("ActingEnv", env)
+        acting = cast("PolicyWorlds", env)
         students = [student_of(path, checkpoint) for path, checkpoint in pairs]
         if options.instruction and not any(
             student.config.inputs.sentence for student in students

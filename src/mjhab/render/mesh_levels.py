@@ -148,8 +148,8 @@ def _coarser(
     # The error of ``simplify`` is bounded by how far it moved the corners of faces.
     off = 0.0
     if len(start.faces) < len(faces):
-        way = start.vertices[start.faces] - vertices[faces[start.source]]
-        off = float(np.linalg.norm(way, axis=2).max())
+        offset = start.vertices[start.faces] - vertices[faces[start.source]]
+        off = float(np.linalg.norm(offset, axis=2).max())
     before = len(faces)
     error = off
     for few, merged in collapse(start.vertices, start.faces, targets):

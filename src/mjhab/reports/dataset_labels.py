@@ -20,12 +20,12 @@ PAPER_EPISODES = 1008
 
 @dataclass(frozen=True)
 class Group:
-    """Subtasks of one kind, task, split and target. way: "" for single subtasks, as in the paper, or CHAINS."""
+    """Subtasks of one kind, task, split and target. suite: "" for single subtasks, as in the paper, or CHAINS."""
 
     kind: str
     task: str
     split: str
-    way: str
+    suite: str
     target: str
 
 
@@ -34,16 +34,20 @@ def grouped(records: Iterable[EpisodeRecord]) -> dict[Group, list[SubtaskRecord]
     groups: dict[Group, list[SubtaskRecord]] = defaultdict(list)
     for record in records:
         for subtask in record.subtasks:
-            way = "" if record.subtask else CHAINS
+            suite = "" if record.subtask else CHAINS
             groups[
                 Group(
-                    subtask.kind, record.task, record.split, way, kind_of(subtask.target)
+                    subtask.kind,
+                    record.task,
+                    record.split,
+                    suite,
+                    kind_of(subtask.target),
                 )
             ].append(subtask)
     together: dict[Group, list[SubtaskRecord]] = defaultdict(list)
     several: Counter[Group] = Counter()
     for group, members in groups.items():
-        whole = Group(group.kind, group.task, group.split, group.way, ALL)
+        whole = Group(group.kind, group.task, group.split, group.suite, ALL)
         together[whole] += members
         several[whole] += 1
     found = {
@@ -59,7 +63,7 @@ def _place(group: Group) -> tuple[str | bool, ...]:
         group.kind,
         group.task,
         group.split,
-        group.way,
+        group.suite,
         group.target == ALL,
         group.target,
     )
@@ -134,7 +138,7 @@ def _columns(group: Group, members: Sequence[SubtaskRecord]) -> list[LabelColumn
         _ours("mjhab, published rules", members, "legacy_label"),
         _ours("mjhab, own rules", members, "label"),
     ]
-    for policy in POLICIES if not group.way else ():
+    for policy in POLICIES if not group.suite else ():
         row = paper_row(group.task, group.kind, group.split, group.target, policy)
         if row is not None:
             meanings = dict.fromkeys(row.labels, f"Table {row.table}")

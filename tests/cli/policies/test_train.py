@@ -249,7 +249,7 @@ def test_policies_are_judged_in_homes_that_they_have_not_seen(
         words = ["train", algorithm, "--out", str(tmp_path)]
 
         def split(*more: str, words: list[str] = words) -> str:
-            return parse([*words, *more]).spec.judged_split
+            return parse([*words, *more]).spec.final_split
 
         assert split() == "val"
         assert split("--home", "builtin_m0_00") == "train"

@@ -41,8 +41,8 @@ class Witness(Sink):
         notes = self.rows[self.index[w]]
         notes.setdefault("qpos", []).append(env.worlds[w].qpos.copy())
         notes.setdefault("state", []).append(obs["state"][w].copy())
-        notes.setdefault("grasped", []).append(env.judged.is_grasped[w])
-        notes.setdefault("force", []).append(env.judged.robot_force[w])
+        notes.setdefault("grasped", []).append(env.outcome_signals.is_grasped[w])
+        notes.setdefault("force", []).append(env.outcome_signals.robot_force[w])
         if env.images:
             notes.setdefault("depth", []).append(
                 obs["sensor_data/fetch_head/depth"][w].copy()

@@ -14,7 +14,6 @@ import torch
 from mjhab.core.errors import UsageError
 from mjhab.learning.configs import preset_of
 from mjhab.learning.observation.spec import ObservationSpec
-from mjhab.learning.reinforcement.agent_encoder import AgentEncoder
 from mjhab.learning.reinforcement.configs import (
     LEAST_STD,
     MOST_STD,
@@ -34,7 +33,14 @@ from mjhab.learning.runs.training import BrokenLossError
 from mjhab.learning.students.bc import BehaviourCloning
 from mjhab.learning.students.gaussian import START_STD, gaussian_of
 from mjhab.learning.students.heads import make_student
-from tests.learning.reinforcement.toy import HORIZON, LAYOUT, PPO_TOY, SAC_TOY, Toy
+from tests.learning.reinforcement.toy import (
+    HORIZON,
+    LAYOUT,
+    PPO_TOY,
+    SAC_TOY,
+    Toy,
+    encoder_of,
+)
 from tests.learning.small import config, demonstrations, layout
 from tests.paper.ms_hab_checkpoints import (
     HAND,
@@ -52,7 +58,7 @@ torch.set_num_threads(1)
 def worlds(privileged: bool = False, terminates: bool = False) -> tuple[Worlds, int]:
     """The toy's worlds, and the numbers that only a critic sees."""
     env = Toy(WORLDS, terminates)
-    encoder = AgentEncoder(env, LAYOUT, privileged)
+    encoder = encoder_of(env, LAYOUT, privileged)
     return Worlds(env, encoder, 0), encoder.privileged_width
 
 
@@ -211,9 +217,7 @@ def test_the_last_observation_of_an_episode_is_what_follows_its_last_step() -> N
 
 def test_first_episodes_end_at_different_times_and_as_by_time() -> None:
     env = Toy(WORLDS, terminates=True)
-    place = Worlds(
-        env, AgentEncoder(env, LAYOUT, False), 0, TrainingRules(longest_first=HORIZON)
-    )
+    place = Worlds(env, encoder_of(env), 0, TrainingRules(longest_first=HORIZON))
     ends = []
     for _ in range(HORIZON - 1):
         happened = place.step(torch.zeros(WORLDS, 1))
@@ -228,8 +232,8 @@ def test_too_much_force_ends_an_episode_and_every_force_costs() -> None:
     rules = TrainingRules(
         force_limit=1000.0, force_ends=True, force_cost=5.0, conditions=("force_ok",)
     )
-    place = Worlds(env, AgentEncoder(env, LAYOUT, False), 0, rules)
-    free = Worlds(Toy(2), AgentEncoder(env, LAYOUT, False), 0)
+    place = Worlds(env, encoder_of(env), 0, rules)
+    free = Worlds(Toy(2), encoder_of(env), 0)
     for step in range(1, 5):
         happened = place.step(torch.zeros(2, 1))
         usual = free.step(torch.zeros(2, 1))
@@ -243,9 +247,7 @@ def test_too_much_force_ends_an_episode_and_every_force_costs() -> None:
 
 def test_a_success_may_end_an_episode() -> None:
     env = Toy(2)
-    place = Worlds(
-        env, AgentEncoder(env, LAYOUT, False), 0, TrainingRules(success_ends=True)
-    )
+    place = Worlds(env, encoder_of(env), 0, TrainingRules(success_ends=True))
     env.place[:] = 0.0, 1.0
     happened = place.step(torch.zeros(2, 1))
     assert happened.succeeded.tolist() == [True, False]
@@ -296,7 +298,7 @@ def in_pictures(**changes: object) -> tuple[PpoLearner, Ppo]:
         changed(PPO_TOY, changes), inputs=inputs, network=network
     )
     told = dataclasses.replace(LAYOUT, inputs=inputs)
-    encoder = AgentEncoder(ToyInPictures(WORLDS), told, True)
+    encoder = encoder_of(ToyInPictures(WORLDS), told, True)
     place = Worlds(encoder._env, encoder, 0)
     start = make_student(config.student, told, 3)
     agent = Ppo(config, told, encoder.privileged_width, 0, start)
@@ -482,7 +484,7 @@ def test_an_environment_that_resets_itself_is_refused() -> None:
     env = Toy(2)
     env.config.autoreset = "same_step"
     with pytest.raises(UsageError, match="autoreset='disabled'"):
-        Worlds(env, AgentEncoder(env, LAYOUT, False), 0)
+        Worlds(env, encoder_of(env), 0)
 
 
 def test_worlds_that_do_not_divide_into_minibatches_are_refused() -> None:

@@ -13,14 +13,14 @@ from torch.multiprocessing.spawn import spawn
 
 from mjhab.learning.checkpoint import load_checkpoint
 from mjhab.learning.reinforcement import session as sessions
-from mjhab.learning.reinforcement.agent_encoder import AgentEncoder, AgentObs
+from mjhab.learning.reinforcement.agent_encoder import AgentObs
 from mjhab.learning.reinforcement.configs import SAC, SacConfig, changed
 from mjhab.learning.reinforcement.ppo.agent import Ppo
 from mjhab.learning.reinforcement.ppo.learner import PpoLearner, Rollout
 from mjhab.learning.reinforcement.worlds import Worlds
 from mjhab.learning.runs import distributed
 from tests.learning.reinforcement.test_runs import TINY, Killed, request
-from tests.learning.reinforcement.toy import LAYOUT, PPO_TOY, Toy
+from tests.learning.reinforcement.toy import LAYOUT, PPO_TOY, Toy, encoder_of
 from tests.learning.small import train_in
 
 CONFIG = changed(PPO_TOY, {"minibatches": 1, "epochs": 2, "target_kl": 0.0})
@@ -54,9 +54,7 @@ def learn(rows: slice) -> dict[str, torch.Tensor]:
     """Weights after one update from a part of the rollout."""
     agent = Ppo(CONFIG, LAYOUT, 0, seed=0)
     env = Toy(2)
-    learner = PpoLearner(
-        agent, Worlds(env, AgentEncoder(env, LAYOUT, False), 0), CONFIG, seed=0
-    )
+    learner = PpoLearner(agent, Worlds(env, encoder_of(env), 0), CONFIG, seed=0)
     learner.update(rollout(rows), 0.0)
     return agent.state_dict()
 

@@ -10,13 +10,12 @@ from typing import Any
 import pytest
 import torch
 
-from mjhab.learning.reinforcement.agent_encoder import AgentEncoder
 from mjhab.learning.reinforcement.configs import ReinforcementConfig, changed
 from mjhab.learning.reinforcement.replay import ReplayBuffer
 from mjhab.learning.reinforcement.sac.run import SacRun
 from mjhab.learning.reinforcement.worlds import TrainingRules, Transition, Worlds
 from mjhab.learning.runs.session import TrainState
-from tests.learning.reinforcement.toy import LAYOUT, SAC_TOY, Toy
+from tests.learning.reinforcement.toy import LAYOUT, SAC_TOY, Toy, encoder_of
 
 WORLDS = 16
 STEP = 0.3
@@ -29,7 +28,7 @@ class Session:
     def __init__(self, config: ReinforcementConfig, folder: Path, rules: Any) -> None:
         folder.mkdir(exist_ok=True)
         env = Toy(config.worlds)
-        encoder = AgentEncoder(env, LAYOUT, False)
+        encoder = encoder_of(env)
         self.config = config
         self.worlds = Worlds(env, encoder, 0, rules)
         self.layout = LAYOUT

@@ -10,6 +10,7 @@ import numpy as np
 from mjhab.core.conventions.names import Conventions
 from mjhab.learning.configs import InputConfig, NetworkConfig
 from mjhab.learning.observation.spec import ObservationSpec
+from mjhab.learning.reinforcement.agent_encoder import AgentEncoder
 from mjhab.learning.reinforcement.configs import (
     PPO,
     SAC,
@@ -131,3 +132,10 @@ class Toy:
         names = ("is_grasped", "at_goal", "ee_rest")
         info |= dict.fromkeys((*names, "is_static", "opened", "closed", "touch"), zeros)
         return info
+
+
+def encoder_of(
+    env: Any, layout: ObservationSpec = LAYOUT, privileged: bool = False
+) -> AgentEncoder:
+    """The encoder of a toy, which has the few things of an environment that an encoder reads."""
+    return AgentEncoder(env, layout, privileged)

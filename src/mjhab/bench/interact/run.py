@@ -157,10 +157,10 @@ class InteractBench:
     def moved(self) -> list[str]:
         """Objects of world 0 that are not where they started."""
         start = self._start[0, self.sim.addresses.object_q[:, None] + np.arange(3)]
-        way = np.linalg.norm(
+        offset = np.linalg.norm(
             to_numpy(self.sim.state().object_pose)[0, :, :3] - start, axis=1
         )
-        return [name for name, far in zip(OBJECTS, way > MOVED, strict=True) if far]
+        return [name for name, far in zip(OBJECTS, offset > MOVED, strict=True) if far]
 
     def tainted(self) -> int:
         """Number of worlds with a taint (`sim.protocol.TAINTS`)."""

@@ -196,17 +196,19 @@ class RunFolder:
         try:
             old = read_json_object(path / cls.CONFIG_FILE)
         except UsageError as error:
-            way = "Use --overwrite." if cls.OWN else "Give another --out."
-            raise UsageError(f"cannot resume: {error} {way}") from error
+            remedy = "Use --overwrite." if cls.OWN else "Give another --out."
+            raise UsageError(f"cannot resume: {error} {remedy}") from error
         changes = [
             change
             for key in sorted({*old, *config} - cls.FREE_KEYS)
             for change in _changes(key, old.get(key), config.get(key))
         ]
         if changes:
-            ways = "or --overwrite, or another --out" if cls.OWN else "or another --out"
+            remedies = (
+                "or --overwrite, or another --out" if cls.OWN else "or another --out"
+            )
             raise UsageError(
-                f"cannot resume {path}: it was started with {_changes_text(changes)}. Use the same options, {ways}."
+                f"cannot resume {path}: it was started with {_changes_text(changes)}. Use the same options, {remedies}."
             )
 
 

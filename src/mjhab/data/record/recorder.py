@@ -88,7 +88,7 @@ class Recorder(Sink[RecordedEnv]):
 
     def on_step(self, env: RecordedEnv, step: StepView) -> None:
         """Add one action and one state to the buffer of every running episode."""
-        checks, forces = signal_rows(env.judged)
+        checks, forces = signal_rows(env.outcome_signals)
         begun, _ = signal_rows(env.signals)
         terms = dict(step.info.get("reward_terms", {}))
         for w in np.flatnonzero(step.active).tolist():
@@ -268,8 +268,8 @@ def _ending(env: RecordedEnv, world: int) -> str:
         return "timeout"
     if env.success[world]:
         return "success"
-    judged = env.judged
-    assert judged is not None, "an episode has ended, so there was a step"
-    if not judged.placed_ok[world]:
+    outcome_signals = env.outcome_signals
+    assert outcome_signals is not None, "an episode has ended, so there was a step"
+    if not outcome_signals.placed_ok[world]:
         return "place_broken"
-    return "timeout" if judged.force_ok[world] else "force_exceeded"
+    return "timeout" if outcome_signals.force_ok[world] else "force_exceeded"

@@ -160,7 +160,7 @@ class RecordedEnv(RolloutEnv, Protocol):
         ...
 
     @property
-    def judged(self) -> Signals | None:
+    def outcome_signals(self) -> Signals | None:
         """Signals that determined the outcome of the last step."""
         ...
 

@@ -64,10 +64,10 @@ def navigates_by_teleport(episode: RecordedEpisode) -> bool:
 def teleported_steps(episode: RecordedEpisode) -> np.ndarray:
     """(N+1,) bool: states in which a Navigate subtask is active that the environment executes by teleport."""
     plan = episode.record.plan
-    ways = np.array([_is_way(entry.kind) for entry in plan]) & navigates_by_teleport(
+    drives = np.array([_is_way(entry.kind) for entry in plan]) & navigates_by_teleport(
         episode
     )
-    return ways[np.minimum(episode.array("subtasks/active"), len(plan) - 1)]
+    return drives[np.minimum(episode.array("subtasks/active"), len(plan) - 1)]
 
 
 def _is_way(kind: str) -> bool:

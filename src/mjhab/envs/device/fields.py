@@ -90,8 +90,8 @@ class GoalFields:
             for row in (i, k)
         )
         beyond = torch.sqrt(off[:, 0] * off[:, 0] + off[:, 1] * off[:, 1]) * cell
-        way = ((1 - u) * near + u * far) * self._step[field] + beyond
-        return torch.where(index < 0, 0.0, way)
+        length = ((1 - u) * near + u * far) * self._step[field] + beyond
+        return torch.where(index < 0, 0.0, length)
 
 
 def _fields(
@@ -103,8 +103,8 @@ def _fields(
     needed = 2 * len(goals) * size[0] * size[1]
     if needed > MAX_BYTES:
         raise UsageError(
-            f"ways to {len(goals)} navigation goals need {needed / 2**30:.1f} GiB of the device, more than "
-            f"{MAX_BYTES / 2**30:.0f}; take fewer starts (starts=), or a reward_mode that needs no ways"
+            f"path lengths to {len(goals)} navigation goals need {needed / 2**30:.1f} GiB of the device, more than "
+            f"{MAX_BYTES / 2**30:.0f}; take fewer starts (starts=), or a reward_mode that needs none"
         )
     table = np.zeros((max(len(goals), 1), *size), np.int16)
     tops = np.ones(max(len(goals), 1), np.float32)

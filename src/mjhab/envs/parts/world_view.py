@@ -12,7 +12,7 @@ from mjhab.core.boxes import Boxes
 from mjhab.core.joints import BASE
 from mjhab.core.memory_cache import MemoryCache
 from mjhab.core.rotations import mat_from_quat, quat_from_axis_angle
-from mjhab.envs.parts.worlds import ExpertWorlds
+from mjhab.envs.parts.worlds import PolicyWorlds
 from mjhab.episodes.grasps.pinch import ObjectShape
 from mjhab.episodes.grasps.stable import shape_of
 from mjhab.layout.layout import Layout, compose
@@ -115,7 +115,7 @@ class HomeShapes:
 class WorldView:
     """Privileged view of one world of an environment. It always shows the present state; arrays are copies."""
 
-    def __init__(self, env: ExpertWorlds, world: int) -> None:
+    def __init__(self, env: PolicyWorlds, world: int) -> None:
         self._env = env
         self.world = world
 

@@ -1,4 +1,4 @@
-"""Interface of an environment that scripted experts read."""
+"""What policies, scripted and learned ones, read of an environment besides its observations."""
 
 from __future__ import annotations
 
@@ -6,6 +6,9 @@ from collections.abc import Sequence
 from typing import Any, Protocol
 
 from mjhab.config.env import EnvConfig
+from mjhab.core.arrays import Array
+from mjhab.core.conventions.names import Conventions
+from mjhab.envs.parts.observing import ObservedRows
 from mjhab.envs.parts.plan_tables import PlanTables
 from mjhab.envs.parts.sensing import Sensing
 from mjhab.episodes.episode import Episode
@@ -16,8 +19,11 @@ from mjhab.tasks.signals import Signals
 from mjhab.tasks.thresholds import TaskConfig
 
 
-class ExpertWorlds(Protocol):
-    """W worlds of an environment on the CPU, read-only. `sequential.SequentialTaskEnv` is one."""
+class PolicyWorlds(Protocol):
+    """W worlds of an environment, read-only; those of `mjhab.make` have all of it, those on a device in tensors.
+
+    Learned policies take no more than conventions, state, links and the tables of observations and actions.
+    """
 
     @property
     def config(self) -> EnvConfig:
@@ -42,6 +48,29 @@ class ExpertWorlds(Protocol):
     @property
     def state(self) -> SimState:
         """State of all worlds after the last control step."""
+        ...
+
+    def state_as(self, conventions: Conventions, /) -> Array:
+        """(W, D) float32, the observed state in other conventions, see `TaskLoop.state_as`."""
+        ...
+
+    def link_state(self) -> Array:
+        """(W, 5) float32, see `Sensing.link_state`."""
+        ...
+
+    @property
+    def observer(self) -> ObservedRows:
+        """Table of the observations; entries with ``key`` and ``shape``, those of the state first."""
+        ...
+
+    @property
+    def single_observation_space(self) -> Any:
+        """A Dict space with a Box "state"."""
+        ...
+
+    @property
+    def action_table(self) -> Sequence[Any]:
+        """One entry with a ``name`` per dimension of an action."""
         ...
 
     @property

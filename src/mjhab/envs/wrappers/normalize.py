@@ -25,27 +25,27 @@ DEPTH_CLIP = 10.0
 
 
 def normalize_depth(
-    mm: np.ndarray, way: str = "tanh", clip: float = DEPTH_CLIP
+    mm: np.ndarray, curve: str = "tanh", clip: float = DEPTH_CLIP
 ) -> np.ndarray:
     """Depth [mm], any shape, as float32 in [0, 1].
 
-    ``way`` "tanh": 1 - tanh(mm / 1000), as the networks of MS-HAB have it (mshab/agents): 1 at the lens, 0.24 at 1 m,
+    ``curve`` "tanh": 1 - tanh(mm / 1000), as the networks of MS-HAB have it (mshab/agents): 1 at the lens, 0.24 at 1 m,
     and 1 where nothing is hit. "linear": min(mm / 1000, clip) / clip, 0 where nothing is hit.
     """
     metres = np.asarray(mm, np.float32) * np.float32(1.0 / DEPTH_SCALE)
-    if way == "linear":
+    if curve == "linear":
         return np.minimum(metres, np.float32(clip)) * np.float32(1.0 / clip)
     # Equal to 1 - tanh(m), but without the cancellation that would cost far depths their digits.
     return np.float32(2.0) / (np.exp(np.float32(2.0) * metres) + np.float32(1.0))
 
 
 def denormalize_depth(
-    value: np.ndarray, way: str = "tanh", clip: float = DEPTH_CLIP
+    value: np.ndarray, curve: str = "tanh", clip: float = DEPTH_CLIP
 ) -> np.ndarray:
     """Inverse of `normalize_depth`: int16 [mm]; depths beyond ``clip`` come back as ``clip``."""
     given = np.asarray(value, np.float64)
     positive = np.maximum(given, np.finfo(np.float32).tiny)
-    metres = given * clip if way == "linear" else 0.5 * np.log(2.0 / positive - 1.0)
+    metres = given * clip if curve == "linear" else 0.5 * np.log(2.0 / positive - 1.0)
     return np.clip(np.rint(metres * DEPTH_SCALE), 0, DEPTH_MAX).astype(np.int16)
 
 
@@ -61,7 +61,7 @@ class NormalizeImages(ObservationMap):
         depth_clip: farthest distance [m] of "linear".
 
     Raises:
-        UsageError: unknown way, depth_clip not above 0, no images.
+        UsageError: unknown curve, depth_clip not above 0, no images.
     """
 
     def __init__(
@@ -85,9 +85,9 @@ class NormalizeImages(ObservationMap):
         self._depth = depth
         self._rgb = rgb
         self._clip = float(depth_clip)
-        ways = {"depth": depth, "rgb": rgb, "seg": "raw"}
+        curves = {"depth": depth, "rgb": rgb, "seg": "raw"}
         leaves = require_images(env, "NormalizeImages", flat=True)
-        self._leaves = tuple(leaf for leaf in leaves if ways[leaf.output] != "raw")
+        self._leaves = tuple(leaf for leaf in leaves if curves[leaf.output] != "raw")
         super().__init__(env, self._space(dict_space(env, "NormalizeImages")))
 
     def observation(self, obs: dict[str, Any]) -> dict[str, Any]:

@@ -89,9 +89,9 @@ class Solid:
         return found
 
     def cross(
-        self, origins: np.ndarray, ways: np.ndarray
+        self, origins: np.ndarray, directions: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Intersect rays from ``origins`` (R, 3) along unit directions ``ways`` (R, 3) with the K pieces.
+        """Intersect rays from ``origins`` (R, 3) along unit vectors ``directions`` (R, 3) with the K pieces.
 
         Returns:
             Distances (R, K) of entry and of exit, (inf, -inf) for pieces that a ray misses; outward normals
@@ -101,7 +101,7 @@ class Solid:
         leave = np.full(enter.shape, -np.inf)
         normal = np.zeros((*enter.shape, 3))
         for k, planes in enumerate(self.planes):
-            rate = ways @ planes[:, :3].T
+            rate = directions @ planes[:, :3].T
             height = origins @ planes[:, :3].T + planes[:, 3]
             with np.errstate(divide="ignore", invalid="ignore"):
                 at = -height / rate
@@ -158,16 +158,16 @@ def _contact_pairs(
     origins = np.repeat(np.asarray(sampled[0]), RAYS_PER_SAMPLE, axis=0)
     normals = np.repeat(solid.surface.face_normals[sampled[1]], RAYS_PER_SAMPLE, axis=0)
     cone = min(float(np.arctan(friction)), MAX_SLANT_RAD)
-    ways = -_within_cone(normals, cone, rng)
-    ways[::RAYS_PER_SAMPLE] = -normals[::RAYS_PER_SAMPLE]
+    directions = -_within_cone(normals, cone, rng)
+    directions[::RAYS_PER_SAMPLE] = -normals[::RAYS_PER_SAMPLE]
     outer = ~solid.inside(origins + _PROBE_M * normals)
     origins = origins[outer]
     normals = normals[outer]
-    ways = ways[outer]
-    width, last_normal, behind = _through(solid, origins, ways)
-    _, _, before = _through(solid, origins, -ways)
-    first = np.arccos(np.clip(-np.einsum("rj,rj->r", ways, normals), -1.0, 1.0))
-    second = np.arccos(np.clip(np.einsum("rj,rj->r", ways, last_normal), -1.0, 1.0))
+    directions = directions[outer]
+    width, last_normal, behind = _through(solid, origins, directions)
+    _, _, before = _through(solid, origins, -directions)
+    first = np.arccos(np.clip(-np.einsum("rj,rj->r", directions, normals), -1.0, 1.0))
+    second = np.arccos(np.clip(np.einsum("rj,rj->r", directions, last_normal), -1.0, 1.0))
     slant = np.maximum(first, second)
     room = np.minimum(before, behind)
     play = np.minimum(room - gripper.thickness - CLEARANCE_M, MAX_PLAY_M)
@@ -178,10 +178,12 @@ def _contact_pairs(
         & (play >= np.minimum(MIN_PLAY_M, by_hand))
     )
     play = np.minimum(play, by_hand)
-    middle = origins + 0.5 * width[:, None] * ways
+    middle = origins + 0.5 * width[:, None] * directions
     most_open = width + 2 * play
-    none = np.zeros(len(ways))
-    found = SurfaceGrasps(middle, ways, ways, middle, width, most_open, slant, none)
+    none = np.zeros(len(directions))
+    found = SurfaceGrasps(
+        middle, directions, directions, middle, width, most_open, slant, none
+    )
     return found.take(np.flatnonzero(good)[np.argsort(slant[good], kind="stable")])
 
 
@@ -199,7 +201,7 @@ def _within_cone(axes: np.ndarray, angle: float, rng: np.random.Generator) -> np
 
 
 def _through(
-    solid: Solid, origins: np.ndarray, ways: np.ndarray
+    solid: Solid, origins: np.ndarray, directions: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Cast rays from the surface through the body that they enter.
 
@@ -207,7 +209,7 @@ def _through(
         Distance (R,) to the exit from the body, 0 if a ray enters none; outward normal (R, 3) there; free distance (R,)
         from there to the next body.
     """
-    enter, leave, normal = solid.cross(origins, ways)
+    enter, leave, normal = solid.cross(origins, directions)
     end = np.zeros(len(origins))
     last = np.zeros((len(origins), 3))
     for _ in range(enter.shape[1]):
@@ -243,10 +245,10 @@ def _approaches(
     start = np.cross(closing, np.eye(3)[np.argmin(np.abs(closing))])
     start /= np.linalg.norm(start)
     angle = np.arange(APPROACHES) * 2 * np.pi / APPROACHES
-    ways = np.cos(angle)[:, None] * start + np.sin(angle)[:, None] * np.cross(
+    directions = np.cos(angle)[:, None] * start + np.sin(angle)[:, None] * np.cross(
         closing, start
     )
-    frames = frame_from_axes(ways, np.broadcast_to(closing, ways.shape))
+    frames = frame_from_axes(directions, np.broadcast_to(closing, directions.shape))
     local = np.einsum("pj,ajk->apk", points - pair.contact[0], frames)
     found = np.full(APPROACHES, np.nan)
     patch = np.zeros(APPROACHES)
@@ -259,8 +261,8 @@ def _approaches(
         patch[fresh] = np.sqrt(point_area * pressed)
     rows = np.flatnonzero(~np.isnan(found))
     return SurfaceGrasps(
-        pos=pair.contact - found[rows, None] * ways[rows],
-        approach=ways[rows],
+        pos=pair.contact - found[rows, None] * directions[rows],
+        approach=directions[rows],
         closing=np.repeat(pair.closing, len(rows), axis=0),
         contact=np.repeat(pair.contact, len(rows), axis=0),
         width=np.repeat(pair.width, len(rows)),

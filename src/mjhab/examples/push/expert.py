@@ -69,8 +69,8 @@ def stroke(view: WorldView, obj: str, goal: np.ndarray) -> Script:
     pos = view.object_pose(obj)[:3]
     half = np.array(view.object_type(obj).half)
     hand = view.robot.gripper
-    way = (goal - pos)[:2]
-    ahead = np.array([*(way / np.linalg.norm(way)), 0.0])
+    offset = (goal - pos)[:2]
+    ahead = np.array([*(offset / np.linalg.norm(offset)), 0.0])
     rot = hand_rotation(view, pos, ahead)
     height = pos[2] - half[2] + hand.finger[0] + FLOOR_GAP_M
     behind = float(np.hypot(half[0], half[1])) + hand.finger[1]

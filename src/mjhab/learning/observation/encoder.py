@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 from mjhab.core.arrays import Array, as_like, namespace, zeros
 from mjhab.core.conventions.names import Conventions
@@ -23,6 +23,9 @@ from mjhab.learning.observation.parts import (
     width_of,
 )
 from mjhab.learning.observation.state import observed_state
+
+if TYPE_CHECKING:
+    from mjhab.envs.parts.worlds import PolicyWorlds
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,33 +52,6 @@ def encode(source: StepSource, spec: InputSpec) -> EncodedObs:
     return EncodedObs(xp.astype(vector, xp.float32, copy=False), images)
 
 
-class EncodedEnv(Protocol):
-    """The part of an environment of W worlds that `ObservationEncoder` reads."""
-
-    @property
-    def num_envs(self) -> int:
-        """Number of worlds W."""
-        ...
-
-    @property
-    def state(self) -> Any:
-        """State of all worlds, with ``robot_q`` and ``robot_qd`` (W, J); its library and device are the encoder's."""
-        ...
-
-    @property
-    def config(self) -> Any:
-        """An `EnvConfig`."""
-        ...
-
-    def link_state(self) -> Any:
-        """(W, 5) float32, see `Sensing.link_state`."""
-        ...
-
-    def state_as(self, conventions: Conventions, /) -> Any:
-        """(W, S) float32, see `TaskLoop.state_as`."""
-        ...
-
-
 class ObservationEncoder:
     """Encodes what the worlds of an environment show, step by step, with the histories and the previous actions.
 
@@ -88,7 +64,7 @@ class ObservationEncoder:
     """
 
     def __init__(
-        self, env: EncodedEnv, spec: InputSpec, pool: int = 1, instruction: str = ""
+        self, env: PolicyWorlds, spec: InputSpec, pool: int = 1, instruction: str = ""
     ) -> None:
         self.spec = spec
         self._env = env
@@ -241,7 +217,7 @@ class LiveSource:
     conventions: of the state.
     """
 
-    env: EncodedEnv
+    env: PolicyWorlds
     obs: Mapping[str, Any]
     previous: Array
     conditioning_codes: Array

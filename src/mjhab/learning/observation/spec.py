@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 from mjhab.config.profiles import DEFAULT_PROFILE, FREE, PROFILES, profile_named
 from mjhab.core.conventions.names import OBJECT_AXES, UNWRAPPED, Conventions
@@ -21,66 +21,14 @@ from mjhab.learning.observation.parts import (
 from mjhab.robots.registry import DEFAULT_ROBOT, robot_named
 from mjhab.tasks.subtasks.registry import SUBTASKS
 
+if TYPE_CHECKING:
+    from mjhab.envs.parts.worlds import PolicyWorlds
+
 OLDER_KINDS = ("pick", "place", "navigate", "open", "close")
 """Kinds of subtasks in the one-hot condition of older checkpoints, which do not list their kinds."""
 MAX_STATE_WIDTH = 10_000
 MAX_ACTIONS = 1000
 """Limits of layouts that a file describes; a mobile manipulator has some 40 numbers and 13 actions."""
-
-
-class ObservationTable(Protocol):
-    """Table of an environment's observations; `envs.parts.observing.ObservedRows` is one."""
-
-    @property
-    def table(self) -> Sequence[Any]:
-        """Entries with ``key`` and ``shape``, those of the state first."""
-        ...
-
-
-class StudentEnv(Protocol):
-    """The part of an environment that is compared with a student's layout."""
-
-    @property
-    def config(self) -> Any:
-        """An `EnvConfig`."""
-        ...
-
-    @property
-    def single_observation_space(self) -> Any:
-        """A Dict space with a Box "state"."""
-        ...
-
-    @property
-    def observer(self) -> ObservationTable:
-        """Table of the observations."""
-        ...
-
-    @property
-    def action_table(self) -> Sequence[Any]:
-        """One entry with a ``name`` per dimension of an action."""
-        ...
-
-
-class ActingEnv(StudentEnv, Protocol):
-    """An environment of W worlds that a student can act in."""
-
-    @property
-    def num_envs(self) -> int:
-        """Number of worlds W."""
-        ...
-
-    @property
-    def state(self) -> Any:
-        """State of all worlds, with ``robot_q`` and ``robot_qd`` (W, J)."""
-        ...
-
-    def link_state(self) -> Any:
-        """(W, 5) float32, see `Sensing.link_state`."""
-        ...
-
-    def state_as(self, conventions: Conventions, /) -> Any:
-        """(W, D) float32, the observed state in other conventions, see `TaskLoop.state_as`."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -185,7 +133,7 @@ class ObservationSpec:
             raise ValueError("layout.control: expected control mode and kind of base.")
         return layout
 
-    def check_env(self, env: StudentEnv, pool: int = 1) -> None:
+    def check_env(self, env: PolicyWorlds, pool: int = 1) -> None:
         """Refuse an environment whose observations or actions differ from those that the student was trained with.
 
         Args:
@@ -213,7 +161,7 @@ class ObservationSpec:
                 f"{describe_options(self.env_options())}."
             )
 
-    def pool_in(self, env: StudentEnv) -> int:
+    def pool_in(self, env: PolicyWorlds) -> int:
         """How many times as wide the images of an environment are as the student's; 1 where that is no whole number."""
         shapes = {entry.key: tuple(entry.shape) for entry in env.observer.table}
         for key in self.image_keys:
@@ -264,7 +212,7 @@ def image_options(inputs: InputConfig) -> dict[str, Any]:
 
 
 def observation_spec_of(
-    env: StudentEnv, inputs: InputConfig, targets: Sequence[str]
+    env: PolicyWorlds, inputs: InputConfig, targets: Sequence[str]
 ) -> ObservationSpec:
     """ObservationSpec of a student that is trained in an environment."""
     profile = profile_of(vars(env.config))
@@ -280,7 +228,7 @@ def observation_spec_of(
     ).in_conventions(Conventions.of(vars(env.config)))
 
 
-def state_of(env: StudentEnv) -> tuple[Entry, ...]:
+def state_of(env: PolicyWorlds) -> tuple[Entry, ...]:
     """Entries of an environment's state vector, in order."""
     entries: list[Entry] = []
     left = env.single_observation_space["state"].shape[0]
@@ -292,12 +240,12 @@ def state_of(env: StudentEnv) -> tuple[Entry, ...]:
     return tuple(entries)
 
 
-def actions_of(env: StudentEnv) -> tuple[str, ...]:
+def actions_of(env: PolicyWorlds) -> tuple[str, ...]:
     """Names of the dimensions of an environment's actions."""
     return tuple(entry.name for entry in env.action_table)
 
 
-def control_of(env: StudentEnv) -> tuple[str, ...]:
+def control_of(env: PolicyWorlds) -> tuple[str, ...]:
     """Control mode, kind of base and stationary joint groups of an environment, which define what its actions do."""
     return (env.config.control_mode, env.config.base, *env.config.stationary)
 

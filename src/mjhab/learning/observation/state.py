@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -15,24 +15,14 @@ from mjhab.data.store.older.schemas import OBJECT_POSE
 from mjhab.data.store.reading import RecordedEpisode
 from mjhab.robots.registry import robot_named
 
+if TYPE_CHECKING:
+    from mjhab.envs.parts.worlds import PolicyWorlds
+
 JOINT_POSITIONS = "agent/qpos"
 
 
-class SeenEnv(Protocol):
-    """The part of an environment that is read here."""
-
-    @property
-    def config(self) -> Any:
-        """An `EnvConfig`."""
-        ...
-
-    def state_as(self, conventions: Conventions, /) -> Any:
-        """(W, D) float32, see `TaskLoop.state_as`."""
-        ...
-
-
 def observed_state(
-    env: SeenEnv, obs: Mapping[str, Any], conventions: Conventions
+    env: PolicyWorlds, obs: Mapping[str, Any], conventions: Conventions
 ) -> Array:
     """State (W, D) float32 of the present observations ``obs`` in the conventions of a student."""
     if Conventions.of(vars(env.config)) == conventions:

@@ -4,15 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from mjhab.learning.observation.encoder import EncodedEnv, ObservationEncoder
+from mjhab.learning.observation.encoder import ObservationEncoder
 from mjhab.learning.observation.spec import ObservationSpec
 from mjhab.tasks.subtasks.registry import horizons
+
+if TYPE_CHECKING:
+    from mjhab.envs.parts.worlds import PolicyWorlds
 
 PRIVILEGED = (
     "position and velocity of every joint of the robot, the base among them",
@@ -36,13 +39,6 @@ FORCE_SCALE_N = 1000.0
 """Unit of the force input [N]."""
 CUMULATIVE_FORCE_SCALE = 5000.0
 """Unit of the cumulative force input [N x control steps]."""
-
-
-class SteppedEnv(EncodedEnv, Protocol):
-    """The part of an environment that `AgentEncoder` reads; ``state`` is a `sim.protocol.SimState`."""
-
-    config: Any
-    task_config: Any
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,7 +74,7 @@ class AgentEncoder:
     """
 
     def __init__(
-        self, env: SteppedEnv, layout: ObservationSpec, privileged: bool
+        self, env: PolicyWorlds, layout: ObservationSpec, privileged: bool
     ) -> None:
         self._env = env
         self._layout = layout

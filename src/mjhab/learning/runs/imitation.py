@@ -238,7 +238,7 @@ class ImitationSession(Session):
             return
         self.log.show({"phase": "timing the expert"})
         at_once = self.spec.resources.at_once
-        enough = self.time.room * at_once / left
+        enough = self.time.seconds_left * at_once / left
         first = self.round_in(wanted, 0)
         wave = self.collectors[0].wave_seconds(first, enough, lambda: self.log.seconds)
         if wave is not None:

@@ -123,6 +123,6 @@ def config_of(spec: Any, config: Any) -> dict[str, Any]:
         "seed": spec.seed,
         "data": [str(place) for place in spec.data],
         "where": spec.where or "",
-        "eval_split": spec.judged_split,
+        "eval_split": spec.final_split,
         "mjhab": __version__,
     }

@@ -103,7 +103,7 @@ class Session(ABC):
                 self.state.updates = int(about.get("step", self.state.updates))
             self.state.trained = self.state.trained or self.state.updates > 0
             self.state.fitted = bool(about.get("fitted", True))
-        self.judged = EvalResult()
+        self.evaluated = EvalResult()
         """The latest complete evaluation; none after `keep_best` has chosen a policy that was evaluated earlier."""
         self.shortage = ""
         """What the run needs, if its time budget ends before its first update; "" while it does not."""
@@ -243,7 +243,7 @@ class Session(ABC):
             write_atomic(self.folder.student, lambda path: shutil.copyfile(best, path))
             state.student_samples = state.best_samples
             # It was of the last policy, and the summary tells of the student.
-            self.judged = EvalResult()
+            self.evaluated = EvalResult()
 
     # -- evaluation --------------------------------------------------------------------------------------------------
 
@@ -273,7 +273,7 @@ class Session(ABC):
         films = self.spec.films if first or last else 0
         folder = self.folder.evaluation(FIRST if first and not last else LATEST)
         # Those on the way choose the best policy: not in the homes that it is judged in.
-        split = self.spec.judged_split if last else self.spec.scene.split
+        split = self.spec.final_split if last else self.spec.scene.split
         began = time.perf_counter()
         found = {
             name: self._evaluate_in(
@@ -281,17 +281,17 @@ class Session(ABC):
             )
             for name, scene in zip(self.names, self.scenes, strict=True)
         }
-        self.judged = EvalResult(split, self.state.student_samples, found)
+        self.evaluated = EvalResult(split, self.state.student_samples, found)
         spent = time.perf_counter() - began
         self.time.evaluations.measured(spent / episodes)
         self.evaluation_seconds += spent
-        rates = self.judged.summary()
+        rates = self.evaluated.summary()
         once = float(rates["success_once"])
         at_end = float(rates["success_at_end"])
         numbers = evaluation_row(once, rates["episodes"], split, last)
         numbers |= {"success_at_end": at_end, "round": self.state.round}
         if len(found) > 1:
-            by_row = self.judged.success_by_row()
+            by_row = self.evaluated.success_by_row()
             numbers |= {f"success_once/{row}": rate for row, rate in by_row.items()}
         self.log.report(self.state.updates, self.state.samples, numbers)
         return at_end if self.keep_best_by not in ("", ONCE) else once
@@ -305,8 +305,8 @@ class Session(ABC):
         tell(0)
         # A file of starts is of one split.
         spawns = scene.spawns if scene.split == split else ""
-        judged = replace(scene, split=split, spawns=spawns)
-        evaluations = Evaluations(judged, self.judging, self.spec.seed, tell)
+        evaluated = replace(scene, split=split, spawns=spawns)
+        evaluations = Evaluations(evaluated, self.judging, self.spec.seed, tell)
         return list(evaluations.run(self.folder.student, episodes, films, out).records)
 
     def place(self, folder: Path, name: str) -> Path:
@@ -324,7 +324,7 @@ class Session(ABC):
         updated, and ``shortage`` what a budget lacks that ends before the first update.
         """
         state = self.state
-        judged = self.judged
+        evaluated = self.evaluated
         return {
             **self._named(),
             "steps": state.updates,
@@ -335,10 +335,10 @@ class Session(ABC):
             "student_samples": state.student_samples,
             "trained": state.trained,
             **({"shortage": self.shortage} if self.shortage else {}),
-            **judged.summary(),
+            **evaluated.summary(),
             "rows": [
-                {"row": row, "success_once": rate, "episodes": len(judged.rows[row])}
-                for row, rate in judged.success_by_row().items()
+                {"row": row, "success_once": rate, "episodes": len(evaluated.rows[row])}
+                for row, rate in evaluated.success_by_row().items()
             ],
             "commit": source_commit(),
         }
@@ -348,6 +348,6 @@ class Session(ABC):
         summary = self.summarize()
         self.folder.write_summary(summary)
         page = render_training_report(
-            self.folder, self.log.rows, self.judged.records, summary
+            self.folder, self.log.rows, self.evaluated.records, summary
         )
         return summary, self.folder.write_report(page)

@@ -235,7 +235,7 @@ class TrainSpec(EnvSpec):
         return SECONDS_PER_MINUTE * self.budget_minutes
 
     @property
-    def judged_split(self) -> str:
+    def final_split(self) -> str:
         """Split of the homes of the final evaluation."""
         return self.eval_split or (self.scene.split if self.scene.home else HELD_OUT)
 

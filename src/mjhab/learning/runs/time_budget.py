@@ -45,13 +45,15 @@ class TimeBudget:
         self.evaluations = EvaluationClock(seconds)
 
     @property
-    def room(self) -> float:
+    def seconds_left(self) -> float:
         """Time that is left for training [s]; meaningless without a budget."""
         return self._seconds - self._now() - self.evaluations.reserve(self._to_judge())
 
     def is_spent(self) -> bool:
         """Whether the rest of the budget is needed for the evaluations to come."""
-        return bool(self._seconds) and distributed.decided_by_first(self.room < 0.0)
+        return bool(self._seconds) and distributed.decided_by_first(
+            self.seconds_left < 0.0
+        )
 
     def estimate_evaluation(self, seconds: float) -> None:
         """Take the time that an episode of the expert needs [s] for that of an evaluation, until one is measured."""

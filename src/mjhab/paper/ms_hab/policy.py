@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
@@ -17,6 +17,10 @@ from mjhab.core.errors import UsageError
 from mjhab.core.seeding import stream
 from mjhab.paper.ms_hab.checkpoint import load_network
 from mjhab.paper.ms_hab.network import CAMERAS, IMAGE_SIDE_PX, STATE_SIZE, Network
+
+if TYPE_CHECKING:
+    from mjhab.config.env import EnvConfig
+    from mjhab.envs.parts.worlds import PolicyWorlds
 
 ENV_OPTIONS: dict[str, Any] = {
     "profile": "ms_hab",
@@ -35,28 +39,7 @@ _WORLDS_AT_ONCE_ON_CPU = 1
 would depend on the number of worlds."""
 
 
-class Config(Protocol):
-    """The part of an environment's configuration that is read here."""
-
-    @property
-    def obs_mode(self) -> str: ...
-    @property
-    def cameras(self) -> Sequence[str]: ...
-    @property
-    def camera_size(self) -> int | tuple[int, int]: ...
-    @property
-    def control_mode(self) -> str: ...
-
-
-class Environment(Protocol):
-    """The part of an environment that is read here."""
-
-    @property
-    def config(self) -> Config: ...
-    def state_as(self, conventions: Conventions, /) -> Any: ...
-
-
-def ms_hab_policy(path: Path | str, env: Environment) -> MsHabPolicy:
+def ms_hab_policy(path: Path | str, env: PolicyWorlds) -> MsHabPolicy:
     """Load the policy of an MS-HAB checkpoint (``ms_hab:CHECKPOINT.pt``) for an environment.
 
     Raises:
@@ -67,7 +50,7 @@ def ms_hab_policy(path: Path | str, env: Environment) -> MsHabPolicy:
     return policy_of(*load_network(Path(path)), env)
 
 
-def policy_of(name: str, network: Network, env: Environment) -> MsHabPolicy:
+def policy_of(name: str, network: Network, env: PolicyWorlds) -> MsHabPolicy:
     """The policy of a network of `load_network` in an environment that `check_environment` accepts."""
     device = "cuda" if torch.cuda.is_available() else "cpu"
     is_published = Conventions.of(vars(env.config)) == PUBLISHED
@@ -75,7 +58,7 @@ def policy_of(name: str, network: Network, env: Environment) -> MsHabPolicy:
     return MsHabPolicy(name, network, device, state)
 
 
-def check_environment(config: Config) -> None:
+def check_environment(config: EnvConfig) -> None:
     """Refuse an environment without the observations and the control mode of MS-HAB's policies.
 
     Raises:

@@ -18,6 +18,7 @@ from mjhab.learning.require import require_learn
 from mjhab.rollout.policy import Policy, RolloutEnv
 
 if TYPE_CHECKING:
+    from mjhab.envs.parts.worlds import PolicyWorlds
     from mjhab.paper.ms_hab.network import Network
 
 
@@ -62,9 +63,9 @@ class MsHabFile(OpenedPolicy):
         """
         self.refuse_style(options)
         require_learn()
-        from mjhab.paper.ms_hab.policy import Environment, check_environment, policy_of
+        from mjhab.paper.ms_hab.policy import check_environment, policy_of
 
-        acting = cast(Environment, env)
+        acting = cast("PolicyWorlds", env)
         check_environment(acting.config)
         return policy_of(*self.network, acting)
 

@@ -68,9 +68,9 @@ def _light(
     shine = wp.vec3(0.0)
     for lamp in range(looks.lamp_pos.shape[1]):
         color = looks.lamp_color[home, lamp]
-        way = looks.lamp_pos[home, lamp] - p
-        square = wp.dot(way, way)
-        facing = wp.dot(n, way)
+        to_lamp = looks.lamp_pos[home, lamp] - p
+        square = wp.dot(to_lamp, to_lamp)
+        facing = wp.dot(n, to_lamp)
         if (
             facing <= 0.0
             or square > LAMP_RANGE * LAMP_RANGE
@@ -87,7 +87,7 @@ def _light(
         )
         diffuse += color * power
         if gloss > DULL:
-            shine += color * (power * _highlight(n, way * inv, to_eye, gloss))
+            shine += color * (power * _highlight(n, to_lamp * inv, to_eye, gloss))
     facing = wp.max(wp.dot(n, to_eye), 0.0)
     side = open_share * (1.0 + 0.10 * n[0] + 0.05 * n[1])
     away = 1.0 - facing

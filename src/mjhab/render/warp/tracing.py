@@ -311,8 +311,8 @@ def _passes_ball(center: wp.vec3, radius: float, ray: wp.vec3, far: float):
     length2 = wp.dot(ray, ray)
     along = wp.dot(center, ray) / length2
     off = center - ray * along
-    room = radius * radius - wp.dot(off, off)
-    return room < 0.0 or along - wp.sqrt(room / length2) > far
+    squared_reach = radius * radius - wp.dot(off, off)
+    return squared_reach < 0.0 or along - wp.sqrt(squared_reach / length2) > far
 
 
 # One kernel from ray to nearest hit, so that the ray and the nearest depth so far stay in registers.

@@ -114,18 +114,18 @@ def fit(
     if known.mean() < 0.1:
         return None
     level = _usual(surface[known])
-    room = np.minimum(ceiling - level, MAX_FREE_HEIGHT_M)
+    headroom = np.minimum(ceiling - level, MAX_FREE_HEIGHT_M)
     good = known & (np.abs(surface - level) < _MAX_UNEVENNESS_M)
     if not good.any():
         return None
-    good &= room >= _MIN_HEIGHT_SHARE * np.median(room[good])
+    good &= headroom >= _MIN_HEIGHT_SHARE * np.median(headroom[good])
     i0, i1, j0, j1 = largest_rectangle(good.reshape(_CELLS_PER_SIDE, _CELLS_PER_SIDE))
     step = space.half[:2] / _CELLS_PER_SIDE
     # Only the centres of cells are known to be on the surface, except at the edges of the box, which are kept.
     last = _CELLS_PER_SIDE - 1
     low = np.array([cells[0][i0], cells[1][j0]]) - step * [i0 == 0, j0 == 0]
     high = np.array([cells[0][i1], cells[1][j1]]) + step * [i1 == last, j1 == last]
-    inside = room.reshape(_CELLS_PER_SIDE, _CELLS_PER_SIDE)[i0 : i1 + 1, j0 : j1 + 1]
+    inside = headroom.reshape(_CELLS_PER_SIDE, _CELLS_PER_SIDE)[i0 : i1 + 1, j0 : j1 + 1]
     center = np.append((low + high) / 2, level) - (
         np.zeros(3) if origin is None else origin
     )

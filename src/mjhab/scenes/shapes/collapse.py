@@ -104,10 +104,12 @@ class _Mesh:
         right = -quadric[:, :3, 3] + stiff[:, None] * middle
         place = np.linalg.solve(matrix, right[..., None])[..., 0]
         # Nearly parallel planes may intersect far away: limit the distance to the length of the edge.
-        way = place - middle
+        offset = place - middle
         length = np.linalg.norm(self.place[ends[:, 0]] - self.place[ends[:, 1]], axis=1)
-        far = np.linalg.norm(way, axis=1)
-        place = middle + way * np.minimum(1.0, length / np.maximum(far, 1e-30))[:, None]
+        far = np.linalg.norm(offset, axis=1)
+        place = (
+            middle + offset * np.minimum(1.0, length / np.maximum(far, 1e-30))[:, None]
+        )
         point = np.concatenate([place, np.ones((len(ends), 1))], axis=1)
         cost = np.einsum("ei,eij,ej->e", point, quadric, point)
         return place, np.maximum(cost, 0.0) + 1e-6 * weight * length**2
@@ -214,8 +216,8 @@ def distance_to_faces(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
     a, b, c = (corners[:, k] for k in range(3))
     normal = np.cross(b - a, c - a)
     square = np.einsum("ni,ni->n", normal, normal)
-    way = points - a
-    up = np.einsum("ni,ni->n", way, normal) / np.sqrt(np.maximum(square, 1e-30))
+    offset = points - a
+    up = np.einsum("ni,ni->n", offset, normal) / np.sqrt(np.maximum(square, 1e-30))
     inside = square > 1e-24
     nearest = np.full(len(points), np.inf)
     for p, q in ((a, b), (b, c), (c, a)):

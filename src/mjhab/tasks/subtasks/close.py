@@ -85,9 +85,9 @@ def _close(
     raw["posture"] = raw["posture_closed"] = (raw["posture"] + raw["posture_far"]) / 2
     raw["rest"] = (raw["rest"] + raw["rest_near"]) / 2
     span = world.joint_max - world.joint_min
-    way = (1 - config.close_fraction) * span
+    travel = (1 - config.close_fraction) * span
     raw["progress"] = 1 - share_left(
-        way - (world.joint_max - world.joint_q), way, bounded=not published
+        travel - (world.joint_max - world.joint_q), travel, bounded=not published
     )
     raw["torso_up"] = view.torso_up
     closed = view.closed_near

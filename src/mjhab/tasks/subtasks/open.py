@@ -64,9 +64,9 @@ def _open(
         "still": joint_speed(world, config),
     }
     raw = near(_OPEN_SHARPNESS, distances)
-    way = view.open_frac * (world.joint_max - world.joint_min)
+    travel = view.open_frac * (world.joint_max - world.joint_min)
     opening = world.joint_q - world.joint_min
-    raw["progress"] = 1 - share_left(way - opening, way, bounded=not published)
+    raw["progress"] = 1 - share_left(travel - opening, travel, bounded=not published)
     raw["torso_up"] = view.torso_up
     opened = signals.opened
     grasped = signals.is_grasped

@@ -185,14 +185,14 @@ class Gateway:
         async with connect(
             url, subprotocols=protocols, compression=None, max_size=MAX_MESSAGE_BYTES
         ) as inside:
-            ways = [
+            pumps = [
                 asyncio.create_task(_pump(outside, inside)),
                 asyncio.create_task(_pump(inside, outside)),
             ]
-            _, open_ways = await asyncio.wait(ways, return_when=asyncio.FIRST_COMPLETED)
-            for way in open_ways:
-                way.cancel()
-            await asyncio.gather(*ways, return_exceptions=True)
+            _, open_pumps = await asyncio.wait(pumps, return_when=asyncio.FIRST_COMPLETED)
+            for pump in open_pumps:
+                pump.cancel()
+            await asyncio.gather(*pumps, return_exceptions=True)
 
 
 async def _pump(source: Any, target: Any) -> None:

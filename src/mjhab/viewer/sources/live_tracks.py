@@ -33,7 +33,7 @@ def extend_tracks(
     tracks: list[Track | None], env: SequentialTaskEnv, step: StepView
 ) -> None:
     """Append state, events and endings of a control step to the tracks of the worlds that made it."""
-    checks, _ = signal_rows(env.judged)
+    checks, _ = signal_rows(env.outcome_signals)
     for w in np.flatnonzero(step.active).tolist():
         track = tracks[w]
         assert track is not None

@@ -48,8 +48,8 @@ class StartKeeper(Sink[RecordedEnv]):
 
     def on_step(self, env: RecordedEnv, step: StepView) -> None:
         """Look whether the subtasks succeed but for the force."""
-        assert env.judged is not None
-        good = step.active & succeeds_whatever_force(env.judged)
+        assert env.outcome_signals is not None
+        good = step.active & succeeds_whatever_force(env.outcome_signals)
         for w in np.flatnonzero(good).tolist():
             self._achieved[w] = True
 

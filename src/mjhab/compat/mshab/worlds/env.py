@@ -222,7 +222,7 @@ class MsHabEnv(SceneParts, gymnasium.Env):
 
     def _info(self, reset: bool = False) -> dict[str, torch.Tensor]:
         worlds = self.worlds
-        signals = worlds.signals if reset else worlds.judged
+        signals = worlds.signals if reset else worlds.outcome_signals
         assert signals is not None
         return self._teller().info(signals, self.elapsed_steps)
 

@@ -298,6 +298,7 @@ COMMANDS: tuple[Command, ...] = (
     Command("assets where", "where they are", "worlds.assets:where"),
     Command("episodes make", "write a file of episodes", "worlds.episodes:make"),
     Command("episodes check", "check one against homes", "worlds.episodes:check"),
+    Command("episodes plans", "task plans and spawns for MS-HAB", "worlds.plans:make"),
     Command("spawns make", "compute start states once", "worlds.spawns:make"),
     Command(
         "spawns from",

@@ -43,11 +43,8 @@ class Episode:
     skipped_homes: tuple[str, ...] = ()
 
 
-def write_episode(path: Path, episode: Episode) -> None:
-    """Write an episode as JSON, which keeps floats exactly, and reads ten times as fast as an npz of small arrays.
-
-    Task, split, seed and index are not in the file: they are in its name.
-    """
+def episode_content(episode: Episode) -> dict[str, Any]:
+    """Return an episode as plain data for JSON, which keeps floats exactly; without task, split, seed and index."""
     content: dict[str, Any] = {
         "home": episode.home,
         "object_pose": episode.object_pose.tolist(),
@@ -56,12 +53,28 @@ def write_episode(path: Path, episode: Episode) -> None:
     }
     if episode.skipped_homes:
         content["skipped_homes"] = list(episode.skipped_homes)
+    return content
+
+
+def write_episode(path: Path, episode: Episode) -> None:
+    """Write an episode as JSON, which reads ten times as fast as an npz of small arrays.
+
+    Task, split, seed and index are not in the file: they are in its name.
+    """
+    content = episode_content(episode)
     write_cached(path, lambda temporary: temporary.write_text(json.dumps(content)))
 
 
 def read_episode(path: Path, task: str, split: str, seed: int, index: int) -> Episode:
     """Read the file of an episode, see `write_episode`."""
     content = json.loads(path.read_text(encoding="utf-8"))
+    return episode_of(content, task, split, seed, index)
+
+
+def episode_of(
+    content: dict[str, Any], task: str, split: str, seed: int, index: int
+) -> Episode:
+    """Return the episode of plain data, see `episode_content`."""
     pose = np.array(content["object_pose"], dtype=np.float64).reshape(-1, 7)
     link_q = np.array(content["link_q"], dtype=np.float64)
     targets = tuple(_target(entry) for entry in content["targets"])

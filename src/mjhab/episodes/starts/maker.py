@@ -189,11 +189,16 @@ class StartMaker:
             return Start(
                 own, home.name, row.qpos, boxes, row.fallback, row.position, row.tries
             )
-        qpos = self._episode_qpos(episode)
         if not self.config.subtask:
-            qpos, fallback, tries = self._roam(episode, qpos)
+            qpos, fallback, tries = self.roam(episode, self.episode_qpos(episode))
             return Start(plan, home.name, qpos, boxes, fallback, tries=tries)
-        position = self._pick_position(plan, episode)
+        return self.start_at(episode, plan, self._pick_position(plan, episode))
+
+    def start_at(self, episode: Episode, plan: TaskPlan, position: int) -> Start:
+        """Return the start of the subtask at a position of the episode's plan alone; see `start`."""
+        home = self._homes[episode.home]
+        boxes = self.boxes(home)
+        qpos = self.episode_qpos(episode)
         rng = stream(episode.seed, "start", episode.task, episode.index)
         scene = StartContext(plan, position, boxes, self._state, episode, qpos, rng)
         begin = start_of(scene.subtask.kind)
@@ -241,7 +246,7 @@ class StartMaker:
 
         The robot and an object that it then carries are parked.
         """
-        qpos = self._episode_qpos(episode)
+        qpos = self.episode_qpos(episode)
         for subtask in plan.subtasks[:position]:
             if spec_of(subtask.kind).brings_to_goal:
                 self._state.put_at_goal(qpos, subtask.obj, subtask.goal_pos)
@@ -265,20 +270,21 @@ class StartMaker:
         first = int(stream(episode.seed, "subtask", episode.index).integers(len(found)))
         # Skip objects that are too wide for the gripper.
         for position in (*found[first:], *found[:first]):
-            if self._holdable(plan.subtasks[position]):
+            if self.holdable(plan.subtasks[position]):
                 return position
         raise MjhabError(
             f"robot {self.layout.robot.name!r} cannot hold any object of episode {episode.index} of {episode.task}"
         )
 
-    def _holdable(self, subtask: Subtask) -> bool:
+    def holdable(self, subtask: Subtask) -> bool:
         """Return whether the gripper can hold the object that a subtask starts with in it, if any."""
         if not spec_of(subtask.kind).starts_holding and not subtask.must_hold:
             return True
         slot = self.layout.object_names.index(subtask.obj)
         return self.held.holds(self.layout.roster[slot])
 
-    def _episode_qpos(self, episode: Episode) -> np.ndarray:
+    def episode_qpos(self, episode: Episode) -> np.ndarray:
+        """Return the state (nq,) of an episode's home with its objects and links; the robot is parked."""
         a = self.sim.addresses
         qpos = self.sim.model(episode.home).qpos0.copy()
         qpos[a.robot_q] = parked_robot_qpos(self.layout.robot)
@@ -301,8 +307,12 @@ class StartMaker:
             return self.sampler.fallback(episode.home, qpos, goal, held), True, tries
         return found, False, tries
 
-    def _roam(self, episode: Episode, qpos: np.ndarray) -> tuple[np.ndarray, bool, int]:
-        """Sample a spawn for a whole chain, anywhere in the home; returns as `_spawn`."""
+    def roam(self, episode: Episode, qpos: np.ndarray) -> tuple[np.ndarray, bool, int]:
+        """Sample a spawn for a whole chain, anywhere in the home.
+
+        Returns:
+            State (nq,); True if no sampled spawn was valid and the fallback is used; number of sampled spawns.
+        """
         rng = stream(episode.seed, "roam", episode.task, episode.index)
         cells = self.sampler.walkable(episode.home, ROAM_RADIUS_M)
         for attempt in range(MAX_TRIES):

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import pickle
-import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import torch
 from torch import Tensor
 
 from mjhab.core.errors import UsageError
+from mjhab.data.imports.torch_files import read_torch
 from mjhab.learning.checkpoint import check_finite
 from mjhab.paper.ms_hab import ppo, sac
 from mjhab.paper.ms_hab.bc import Bc
@@ -24,6 +22,7 @@ from mjhab.paper.ms_hab.sac import SacNetwork
 AGENT = "agent"
 """Key of a checkpoint under which MS-HAB stores the parameters of the policy (mshab/train_*.py)."""
 _SHOWN_KEYS = 6
+_WHAT = "a checkpoint of torch, such as policy.pt of MS-HAB"
 _SAVE_ALONE = (
     "Save the parameters alone: torch.save({'agent': agent.state_dict()}, path)."
 )
@@ -63,7 +62,8 @@ def load_network(path: Path) -> tuple[str, Network]:
         UsageError: the file does not exist, is not a checkpoint, contains more than tensors, has another layout, or
             holds weights that are not finite.
     """
-    parameters = _parameters(path, _read(path))
+    content = read_torch(path, _WHAT, _SAVE_ALONE)
+    parameters = _parameters(path, content)
     shapes = {key: tuple(value.shape) for key, value in parameters.items()}
     layout = _recognise(path, shapes)
     used = {
@@ -88,47 +88,6 @@ def load_network(path: Path) -> tuple[str, Network]:
     check_finite(path, used)
     network.load_state_dict(used)
     return layout.name, network.eval().requires_grad_(False)
-
-
-def _read(path: Path) -> Any:
-    if not path.is_file():
-        raise UsageError(
-            f"{path} does not exist or is no file; give a checkpoint of MS-HAB, such as policy.pt."
-        )
-    try:
-        # Torch warns of files that it then refuses, and its errors advise to load them with weights_only=False.
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            return torch.load(path, map_location="cpu", weights_only=True)
-    except pickle.UnpicklingError as error:
-        needed = _unsafe_names(path)
-        if not needed:
-            raise UsageError(
-                f"{path} cannot be read as a checkpoint of torch: it is none, or holds more than tensors. Nothing "
-                f"in it was executed. {_SAVE_ALONE}"
-            ) from error
-        raise UsageError(
-            f"{path} needs more than tensors and was refused; nothing in it was executed. It asks for: "
-            f"{', '.join(needed)}. {_SAVE_ALONE}"
-        ) from error
-    except (
-        Exception
-    ) as error:  # a damaged pickle ends in any error: IndexError, TypeError, struct.error
-        raise UsageError(
-            f"{path} cannot be read as a checkpoint of torch: {_first_line(error)}"
-        ) from error
-
-
-def _unsafe_names(path: Path) -> list[str]:
-    """Names that unpickling the file would import besides tensors, found without loading it."""
-    try:
-        return sorted(torch.serialization.get_unsafe_globals_in_checkpoint(str(path)))
-    except (RuntimeError, ValueError, OSError, pickle.UnpicklingError):
-        return []
-
-
-def _first_line(error: Exception) -> str:
-    return (str(error).splitlines() or [type(error).__name__])[0]
 
 
 def _parameters(path: Path, content: Any) -> dict[str, Tensor]:

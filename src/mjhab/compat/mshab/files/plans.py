@@ -7,7 +7,7 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 from mjhab.compat.mshab.files.subtasks import SUBTASK_CLASSES, Subtask
 from mjhab.core.errors import (
@@ -36,6 +36,9 @@ class TaskPlan:
     ``build_config_name``: file name of the home's scene, ``v3_sc3_staging_00.scene_instance.json``.
     ``init_config_name``: path of the episode below the folder of rearrangement data, ``val/set_table/episode_0.json``.
     """
+
+    root: ClassVar[Path | None] = None
+    """Of one plan: the folder of rearrangement data from which it was read. Not a field: scripts write the fields."""
 
     subtasks: list[Subtask]
     build_config_name: str | None = None
@@ -70,6 +73,9 @@ def plan_data_from_file(config_path: Any = None) -> PlanData:
         raise wrong_type("plans", body["plans"], "a list", where=path)
     with about(path):
         plans = [_plan(row, f"plans[{i}]") for i, row in enumerate(body["plans"])]
+    root = root_above(path, "task_plans")
+    for plan in plans:
+        vars(plan)["root"] = root
     return PlanData(dataset=str(body["dataset"]), plans=plans)
 
 
@@ -98,6 +104,14 @@ def task_of_dataset(name: str) -> tuple[str, str]:
     if plain not in known:
         raise unknown_name("data set of task plans", name, known)
     return known[plain]
+
+
+def root_above(path: Path, folder: str) -> Path | None:
+    """The folder in which ``folder`` is that holds a file; None if no folder above the file has that name."""
+    for parent in path.absolute().parents:
+        if parent.name == folder:
+            return parent.parent
+    return None
 
 
 def _parsed(path: Path) -> Any:

@@ -12,9 +12,9 @@ from typing import Any
 
 from mjhab.compat.mshab.files.init_configs import read_init_config
 from mjhab.compat.mshab.files.matching import home_of
-from mjhab.compat.mshab.files.plans import TaskPlan
-from mjhab.compat.mshab.files.roots import rearrange_dir, replica_cad_dir
+from mjhab.compat.mshab.files.plans import TaskPlan, dataset_name, root_above
 from mjhab.compat.mshab.files.spawn_data import Spawns, read_spawn_data
+from mjhab.compat.mshab.paths import REARRANGE, REPLICA_CAD
 from mjhab.core.errors import UsageError, fault, wrong_value
 from mjhab.core.version import __version__
 from mjhab.episodes.hab.format import HabEpisode
@@ -31,10 +31,11 @@ class PlanRequest:
 
     Attributes:
         plans: task plans, all of one kind of subtask, or whole tasks.
-        dataset: data set of the plans, ``ReplicaCADSetTableVal``.
+        dataset: data set of the plans, ``ReplicaCADSetTableVal``; "" for that of the folder of the first one's episode.
         subtask: kind of the plans' one subtask; "" for whole tasks.
         spawn_file: spawn data of the subtasks; None for whole tasks.
-        root: folder of rearrangement data, below which are the episodes that plans name; None: see `rearrange_dir`.
+        root: folder of rearrangement data, below which are the episodes that plans name; None: that from which they
+            were read, else that which holds the spawn data, else that among ManiSkill's assets.
         assets: asset pack with the homes and objects; "" for the built-in one if it has the homes, else ReplicaCAD
             among ManiSkill's assets.
         profile: see `config.profiles`.
@@ -75,15 +76,20 @@ def check_plans(plans: Sequence[TaskPlan], subtask: str) -> None:
 
 
 def complete(request: PlanRequest) -> PlanRequest:
-    """The request with folder and assets."""
-    root = request.root or rearrange_dir(request.plans, request.spawn_file)
+    """The request with data set, folder and assets."""
+    first = request.plans[0]
+    root = request.root or _rearrange_dir(first, request.spawn_file)
+    dataset = request.dataset
+    if not dataset:
+        split, _, rest = str(first.init_config_name).partition("/")
+        dataset = dataset_name(rest.partition("/")[0], split)
     assets = request.assets
     if not assets:
         known = open_pack(BUILTIN).homes_by_name
-        fits = home_of(request.plans[0].build_config_name) in known
-        own = replica_cad_dir()
-        assets = str(own) if own.is_dir() and not fits else BUILTIN
-    return dataclasses.replace(request, root=root, assets=assets)
+        fits = home_of(first.build_config_name) in known
+        other = REPLICA_CAD.is_dir() and not fits
+        assets = str(REPLICA_CAD) if other else BUILTIN
+    return dataclasses.replace(request, dataset=dataset, root=root, assets=assets)
 
 
 def spawns_of(request: PlanRequest) -> list[Spawns]:
@@ -134,6 +140,15 @@ def _names_of(request: PlanRequest) -> list[str]:
                 f"task_plans[{number}].init_config_name", name, "the file of an episode"
             )
     return list(dict.fromkeys(names))
+
+
+def _rearrange_dir(plan: TaskPlan, spawn_file: Path | None) -> Path:
+    """The folder of rearrangement data that a plan belongs to.
+
+    It is that from which its file was read, else that which holds the spawn data, else the one among the assets.
+    """
+    above = None if spawn_file is None else root_above(spawn_file, "spawn_data")
+    return plan.root or above or REARRANGE
 
 
 def root_of(request: PlanRequest) -> Path:

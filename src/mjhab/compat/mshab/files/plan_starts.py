@@ -131,9 +131,9 @@ def plan_starts(request: PlanRequest, threads: int = 0) -> PlanStarts:
         UsageError: plans of another subtask; homes, objects, episodes or spawns that are missing; a file of another
             layout, or one that needs more than tensors. The message names file, plan and what is missing.
     """
-    task, split = task_of_dataset(request.dataset)
     check_plans(request.plans, request.subtask)
     request = complete(request)
+    task, split = task_of_dataset(request.dataset)
     spawns = spawns_of(request)
     key = digest_of(request)
     pack = open_pack(request.assets)

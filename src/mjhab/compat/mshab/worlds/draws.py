@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
+from mjhab.compat.mshab.files.plan_starts import PlanStarts
 from mjhab.compat.mshab.files.plans import TaskPlan
 from mjhab.compat.mshab.worlds.arguments import Arguments
 from mjhab.core.errors import UsageError, wrong_value
@@ -16,21 +17,6 @@ from mjhab.core.typed.checks import check
 
 FIRST_SEED = 2022
 """Seed of the draws before a reset gives one (mani_skill/envs/sapien_env.py)."""
-
-
-class Starts(Protocol):
-    """The starts of plans, as `files.starts.plan_starts` makes them."""
-
-    options: dict[str, Any]
-    plans: Sequence[TaskPlan]
-
-    def of(self, plan: int, spawn: int) -> int:
-        """Number of our episode that is a plan with one of its starts."""
-        ...
-
-    def spawns(self, plan: int) -> int:
-        """Number of starts of a plan."""
-        ...
 
 
 class PlanDraw:
@@ -51,7 +37,7 @@ class PlanDraw:
     """
 
     def __init__(
-        self, arguments: Arguments, starts: Starts, homes: Mapping[str, int]
+        self, arguments: Arguments, starts: PlanStarts, homes: Mapping[str, int]
     ) -> None:
         self._arguments = arguments
         self._starts = starts

@@ -5,12 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+from mjhab.compat.mshab.files.plan_requests import PlanRequest
+from mjhab.compat.mshab.files.plan_starts import PlanStarts, plan_starts
 from mjhab.compat.mshab.files.plans import task_of_dataset
 from mjhab.compat.mshab.worlds.arguments import OBS_MODES, Arguments
-from mjhab.compat.mshab.worlds.draws import OwnDraw, PlanDraw, Starts
+from mjhab.compat.mshab.worlds.draws import OwnDraw, PlanDraw
 from mjhab.compat.mshab.worlds.limits import ENDLESS, overrides_of
 from mjhab.config.profiles import unbound
-from mjhab.core.errors import UsageError
 from mjhab.envs.catalog import make
 from mjhab.envs.loop import TaskLoop
 from mjhab.sim.backends import resolve
@@ -36,7 +37,10 @@ def open_setting(arguments: Arguments) -> Setting:
         UsageError: plans, starts or options do not fit.
     """
     starts = _starts(arguments)
-    chosen = _task_options(arguments) if starts is None else starts.options
+    chosen = _task_options(arguments)
+    if starts is not None:
+        # Single options stand for the profile here, so that some may differ from it.
+        chosen = {n: v for n, v in starts.options.items() if n != "profile"}
     options = {**_options(arguments, chosen), **chosen, **arguments.mjhab_options}
     if starts is not None and options["backend"] == "warp":
         # On a device the number of an episode is its place in the pool.
@@ -53,11 +57,20 @@ def home_numbers(plans: Any) -> dict[str, int]:
     return {name: number for number, name in enumerate(names)}
 
 
-def _starts(arguments: Arguments) -> Starts | None:
+def _starts(arguments: Arguments) -> PlanStarts | None:
     """The starts of the plans; None without plans."""
     if not arguments.task_plans:
         return None
-    raise UsageError("task_plans")
+    dataset = arguments.scene_builder_cls
+    request = PlanRequest(
+        arguments.task_plans,
+        dataset if isinstance(dataset, str) else dataset.__name__,
+        arguments.subtask,
+        arguments.spawn_data_fp,
+        assets=arguments.mjhab_options.get("assets", ""),
+        profile=PROFILE,
+    )
+    return plan_starts(request)
 
 
 def _task_options(arguments: Arguments) -> dict[str, Any]:

@@ -57,7 +57,7 @@ HEAVY: dict[str, frozenset[str]] = {
         {"sim", "render", "envs", "data", "learning", "integrations", "paper", "compat"}
     ),
     "safetensors": frozenset({"learning"}),
-    "h5py": frozenset({"data"}),
+    "h5py": frozenset({"data", "compat"}),
     "filelock": frozenset({"core"}),
     "platformdirs": frozenset({"core"}),
     "huggingface_hub": frozenset({"assets"}),

@@ -1,0 +1,65 @@
+"""Runs a script as Python would, with the modules of MS-HAB and ManiSkill answered."""
+
+from __future__ import annotations
+
+import runpy
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from mjhab.compat.mshab.running.habits import keep_old_habits
+from mjhab.compat.mshab.running.hook import install
+from mjhab.core.errors import UsageError, warn_once
+
+PACKAGE = "mshab"
+"""Name of the folder with MS-HAB's own package."""
+
+
+def find_script(name: str) -> Path:
+    """The file of a script.
+
+    Raises:
+        UsageError: there is none.
+    """
+    path = Path(name)
+    if not path.is_file():
+        raise UsageError(
+            f"{name}: no such script. Usage: python -m mjhab.compat.mshab SCRIPT.py ARGS... (or -m MODULE ARGS...)"
+        )
+    return path
+
+
+def checkout_of(script: Path) -> Path | None:
+    """Folder above MS-HAB's package that a script lies in; None if it lies in none."""
+    for folder in script.resolve().parents:
+        if folder.name == PACKAGE and (folder / "envs").is_dir():
+            return folder.parent
+    return None
+
+
+def run_script(script: Path, arguments: Sequence[str]) -> None:
+    """Run a file as ``__main__``."""
+    _prepare(script.resolve().parent, checkout_of(script))
+    sys.argv = [str(script), *arguments]
+    runpy.run_path(str(script), run_name="__main__")
+
+
+def run_module(name: str, arguments: Sequence[str]) -> None:
+    """Run a module, such as ``mshab.train_sac``, as ``__main__``; it is looked for in the present folder, too."""
+    _prepare(Path.cwd(), None)
+    sys.argv = [name, *arguments]
+    runpy.run_module(name, run_name="__main__", alter_sys=True)
+
+
+def _prepare(folder: Path, checkout: Path | None) -> None:
+    """Let imports find what lies beside the script, and answer the rest."""
+    # `python -m` put the present folder there.
+    sys.path[0] = str(folder)
+    if checkout is not None:
+        sys.path.append(str(checkout))
+    if not install():
+        warn_once(
+            "ManiSkill and SAPIEN are installed: the script runs on them, and not on mjhab."
+        )
+        return
+    keep_old_habits()

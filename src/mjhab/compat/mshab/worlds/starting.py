@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+import torch
+
 from mjhab.compat.mshab.files.plan_requests import PlanRequest
 from mjhab.compat.mshab.files.plan_starts import PlanStarts, plan_starts
 from mjhab.compat.mshab.files.plans import task_of_dataset
@@ -12,6 +14,7 @@ from mjhab.compat.mshab.worlds.arguments import OBS_MODES, Arguments
 from mjhab.compat.mshab.worlds.draws import OwnDraw, PlanDraw
 from mjhab.compat.mshab.worlds.limits import ENDLESS, overrides_of
 from mjhab.config.profiles import unbound
+from mjhab.core.errors import warn_once
 from mjhab.envs.catalog import make
 from mjhab.envs.loop import TaskLoop
 from mjhab.sim.backends import resolve
@@ -88,7 +91,7 @@ def _options(arguments: Arguments, chosen: dict[str, Any]) -> dict[str, Any]:
     subtask = arguments.subtask
     task = {"task": DEFAULT_TASK, **chosen, **arguments.mjhab_options}["task"]
     kinds = (subtask,) if subtask else tuple(TASKS[task].subtasks)
-    backend = resolve(arguments.backend)
+    backend = _backend(arguments.backend)
     values = unbound({"profile": PROFILE}, subtask, trains=False)
     return {
         **values,
@@ -112,6 +115,14 @@ def _options(arguments: Arguments, chosen: dict[str, Any]) -> dict[str, Any]:
             **({} if subtask else {"goes_on": True}),
         },
     }
+
+
+def _backend(name: str) -> str:
+    """ "auto" is a GPU where torch has one; to ask Warp would print to the terminal of a script."""
+    if name == "auto" and not torch.cuda.is_available():
+        warn_once("sim_backend='gpu': there is no GPU, so physics runs on the CPU.")
+        return "cpu"
+    return resolve(name)
 
 
 def _reward(arguments: Arguments) -> str:

@@ -28,6 +28,7 @@ ABLATIONS: dict[str, dict[str, str | dict[str, str]]] = {
         "demos_500": "53 ± 13 %",
         "demos_1000": "62 ± 9 %",
     },
+    "sac_ppo": {"ppo": "near 0 % in Place of PrepareGroceries and SetTable"},
     "filters": {
         "place_in_goal": {
             "train": "45.73 %, placed to dropped 3.17:1",

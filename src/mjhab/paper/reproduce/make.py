@@ -33,7 +33,7 @@ from mjhab.paper.reproduce.spec import (
     policy_rows,
     table_config,
 )
-from mjhab.paper.reproduce.variants import STUDIES, Variant
+from mjhab.paper.reproduce.variants import REWARDED, STUDIES, Reinforcement, Variant
 from mjhab.rollout.sinks import Sink
 
 if TYPE_CHECKING:
@@ -43,6 +43,8 @@ ROW = "row.json"
 TRAIN = "train"
 STUDENT = "student.safetensors"
 POLICIES = "policies.json"
+EPISODES_ON_THE_WAY = 32
+"""Of each evaluation on the way of a study of reinforcement learning; the paper has 189, every 100,000 samples."""
 
 
 class TableFolder(RunFolder):
@@ -106,7 +108,7 @@ def make_row(spec: TableSpec, row: TableRow, sinks: Sinks) -> None:
     if not missing:
         return
     trained: list[Trained] = []
-    if spec.what not in STUDIES:
+    if spec.what not in (*STUDIES, *REWARDED):
         trained = [
             (part, target, policy_run(spec, part, target))
             for part in policy_rows(row)
@@ -115,6 +117,8 @@ def make_row(spec: TableSpec, row: TableRow, sinks: Sinks) -> None:
     for variant in missing:
         if variant.imitation is not None:
             trained = [(row, row.target, study_run(spec, row, variant))]
+        if variant.reinforcement is not None:
+            trained = rewarded_runs(spec, row, variant.name, variant.reinforcement)
         runs = [run for _, _, run in trained]
         if untrained(runs):
             judged = []
@@ -228,6 +232,29 @@ def study_run(spec: TableSpec, row: TableRow, variant: Variant) -> Path:
     return run
 
 
+def rewarded_runs(
+    spec: TableSpec, row: TableRow, name: str, training: Reinforcement
+) -> list[Trained]:
+    """Return the policies of a row in a study of reinforcement learning; trains them if necessary.
+
+    Args:
+        spec: the request.
+        row: of Table 1.
+        name: of the variant.
+        training: how they are trained.
+
+    Raises:
+        KeyboardInterrupt: Ctrl-C was pressed; finished parts are kept.
+    """
+    found = []
+    for target in policy_targets(row, training.column):
+        run = spec.out / row.folder / TRAIN / name / target.replace("/", ".")
+        if _train_rewarded(spec, row, target, run, training).interrupted:
+            raise KeyboardInterrupt
+        found.append((row, target, run))
+    return found
+
+
 def policy_run(spec: TableSpec, row: TableRow, target: str) -> Path:
     """Return the training folder of a policy; trains the policy if necessary.
 
@@ -261,9 +288,50 @@ def _name_of(row: TableRow, target: str) -> str:
 
 def _train(spec: TableSpec, row: TableRow, target: str, run: Path) -> TrainingResult:
     """Train a policy, or continue its training."""
-    common: dict[str, Any] = {
+    if spec.column != STUDENTS:
+        return _train_rewarded(spec, row, target, run, Reinforcement(spec.column))
+    from mjhab.learning.devices import CPU
+    from mjhab.learning.runs.specs import DaggerSpec
+    from mjhab.learning.train import train_spec
+
+    common = _training_options(spec, row, target, run)
+    common["env"]["num_envs"] = spec.asked.num_envs
+    return train_spec(
+        DaggerSpec(device=spec.device or CPU, preset=spec.preset_name, **common)
+    )
+
+
+def _train_rewarded(
+    spec: TableSpec, row: TableRow, target: str, run: Path, training: Reinforcement
+) -> TrainingResult:
+    """Train a policy by reinforcement learning, or continue its training."""
+    from mjhab.learning.reinforcement.configs import reinforcement_preset
+    from mjhab.learning.reinforcement.specs import ReinforcementSpec
+    from mjhab.learning.train import train_spec
+
+    common = _training_options(spec, row, target, run)
+    common["env"] |= {
+        "backend": spec.asked.backend,
+        "device": spec.device,
+        "seed": spec.asked.seed + training.seed,
+    }
+    algorithm = training.algorithm or algorithm_of(row, training.column)
+    # Studies show how the policies learn; the others only what they are worth in the end.
+    watched = EPISODES_ON_THE_WAY if spec.what in REWARDED else 0
+    return train_spec(
+        ReinforcementSpec(
+            preset=reinforcement_preset(algorithm, spec.preset_name),
+            **{**common, "round_episodes": watched},
+        )
+    )
+
+
+def _training_options(
+    spec: TableSpec, row: TableRow, target: str, run: Path
+) -> dict[str, Any]:
+    """Options that all trainings of a reproduction have in common."""
+    return {
         "out": run,
-        "preset": spec.preset_name,
         "env": env_of(spec, row, target or FOR_ALL),
         "budget_minutes": spec.budget_minutes,
         "eval_episodes": 0,
@@ -271,18 +339,3 @@ def _train(spec: TableSpec, row: TableRow, target: str, run: Path) -> TrainingRe
         "eval_split": TRAINED_IN,
         "resume": (run / CONFIG).is_file(),
     }
-    from mjhab.learning.train import train_spec
-
-    if spec.column == STUDENTS:
-        from mjhab.learning.devices import CPU
-        from mjhab.learning.runs.specs import DaggerSpec
-
-        common["env"]["num_envs"] = spec.asked.num_envs
-        return train_spec(DaggerSpec(device=spec.device or CPU, **common))
-    from mjhab.learning.reinforcement.configs import reinforcement_preset
-    from mjhab.learning.reinforcement.specs import ReinforcementSpec
-
-    algorithm = algorithm_of(row, spec.column)
-    common["preset"] = reinforcement_preset(algorithm, spec.preset_name)
-    common["env"] |= {"backend": spec.asked.backend, "device": spec.device}
-    return train_spec(ReinforcementSpec(**common))

@@ -11,12 +11,17 @@ from mjhab.core.arithmetic.sums import ordered_sum
 from mjhab.core.files.reading import read_json_object
 from mjhab.core.files.run_folder import write_text
 from mjhab.data.store.episode_data import last_label
-from mjhab.paper.reproduce.rows import TableRow
+from mjhab.learning.runs.run import METRICS, ON_THE_WAY
+from mjhab.paper.reproduce.rows import RL_ALL, RL_PER, TableRow, table_rows
 from mjhab.paper.reproduce.variants import (
     AS_PUBLISHED,
     CHOICES,
+    CURVES,
     DEMO_COUNT,
     FILTERS,
+    PER_ALL,
+    REWARDED,
+    SAC_PPO,
     STUDIES,
     TABLE1,
     TABLE5,
@@ -24,7 +29,8 @@ from mjhab.paper.reproduce.variants import (
 )
 from mjhab.reports.metrics import label_counts, mean, wilson
 from mjhab.reports.pages import Section, render_sections
-from mjhab.reports.paper import ABLATIONS, SUCCESS_COLUMNS, paper_success
+from mjhab.reports.paper import ABLATIONS, SUCCESS_COLUMNS, paper_row, paper_success
+from mjhab.reports.plots import Figure
 from mjhab.rollout.store import read_records
 
 RESULTS = "results.json"
@@ -38,10 +44,15 @@ TITLES = {
     DEMO_COUNT: "Number of demonstrations",
     FILTERS: "Place: which demonstrations",
     CHOICES: "Choices of the presets",
+    SAC_PPO: "SAC and PPO",
+    PER_ALL: "One policy per object, or one for all",
+    CURVES: "Learning curves",
 }
 PAPER_TITLES = dict(
     zip(SUCCESS_COLUMNS, ("RL per object", "RL for all", "BC", "diffusion"), strict=True)
 )
+PAPER_POLICIES = {RL_PER: "RL-Per", RL_ALL: "RL-All"}
+"""Policies of the paper's tables of labels by the variants of `PER_ALL`."""
 _WHAT = {False: "Rules", True: "Ways of training"}
 SECONDS_PER_MINUTE = 60.0
 COLUMN_TITLES = (
@@ -91,7 +102,19 @@ def measured(runs: Sequence[Path], judged: Sequence[Path]) -> dict[str, Any]:
         "samples": sum(summary["samples"] for summary in summaries),
         "cpu_minutes": round(seconds / SECONDS_PER_MINUTE, 1),
         "labels": label_counts(last_label(record) for record in records),
+        "curves": list(filter(None, map(learning_curve, runs))),
     }
+
+
+def learning_curve(run: Path) -> list[tuple[int, float]]:
+    """Samples and success once of every evaluation on the way of a training run, in homes of training."""
+    path = run / METRICS
+    lines = path.read_text(encoding="utf-8").splitlines() if path.is_file() else []
+    return [
+        (row["samples"], row["success_once"])
+        for row in map(json.loads, lines)
+        if row.get("evaluation") == ON_THE_WAY
+    ]
 
 
 def untrained(runs: Sequence[Path]) -> int:
@@ -130,11 +153,14 @@ def result_of(
     published = (variant == AS_PUBLISHED.name or config["what"] == TABLE5) and bool(
         row.subtask
     )
+    per_policy = config["what"] == PER_ALL
     paper = (
         paper_success(row.task, row.subtask, config["split"], row.target)
-        if published
+        if published or per_policy
         else {}
     )
+    if per_policy:
+        paper = {name: rate for name, rate in paper.items() if name == variant}
     says = ABLATIONS.get(config["what"], {}).get(variant, "")
     if isinstance(says, dict):
         says = says.get(config["split"], "")
@@ -175,6 +201,55 @@ def cells(result: Mapping[str, Any]) -> tuple[Any, ...]:
     )
 
 
+def outcomes(results: Sequence[Mapping[str, Any]], split: str) -> list[tuple[Any, ...]]:
+    """Rows of the table of labels: row, variant, label, our share and the paper's of all episodes [%]."""
+    rows = table_rows()
+    found: list[tuple[Any, ...]] = []
+    for result in results:
+        row = rows[result["row"]]
+        published = None
+        if result["rules"] in PAPER_POLICIES:
+            policy = PAPER_POLICIES[result["rules"]]
+            published = paper_row(
+                row.task, row.subtask, split, row.target or "all", policy
+            )
+        theirs = published.labels if published else {}
+        counts = result["labels"]
+        for label in dict.fromkeys((*counts, *theirs)):
+            share = 100 * counts.get(label, 0) / max(1, result["episodes"])
+            found.append(
+                (row.name, result["rules"], label, round(share, 1), theirs.get(label, ""))
+            )
+    return found
+
+
+def curves_figure(results: Sequence[Mapping[str, Any]]) -> Figure:
+    """Success on the way over samples; a line for each policy."""
+    traces = [
+        {
+            "x": [samples for samples, _ in curve],
+            "y": [success for _, success in curve],
+            "name": f"{result['row']}, {result['rules']}",
+            "type": "scatter",
+            "mode": "lines+markers",
+        }
+        for result in results
+        for curve in result.get("curves", ())
+    ]
+    return {
+        "data": traces,
+        "layout": {
+            "height": 420,
+            "xaxis": {"title": {"text": "samples"}},
+            "yaxis": {
+                "range": [0, 1.04],
+                "tickformat": ".0%",
+                "title": {"text": "success once"},
+            },
+        },
+    }
+
+
 def titles() -> tuple[str, ...]:
     """Column titles of the table."""
     return (
@@ -192,12 +267,35 @@ def page(results: Sequence[Mapping[str, Any]], config: Mapping[str, Any]) -> str
         for rule in VARIANTS[config["what"]]
         if rule.name in shown
     )
+    what = _WHAT[config["what"] in (*STUDIES, *REWARDED)]
     hint = (
         f"Success-once rates of our policies in column {config['column']} (preset {config['preset']}) in homes of "
-        f"split {config['split']}. {_WHAT[config['what'] in STUDIES]}: {rules}. Policies are trained under the rules "
-        "of Table 1. The paper's policies were evaluated in ReplicaCAD homes, about 1,000 episodes each (MS-HAB, ICLR "
+        f"split {config['split']}. {what}: {rules}. Policies are trained under the rules of Table 1. "
+        "The paper's policies were evaluated in ReplicaCAD homes, about 1,000 episodes each (MS-HAB, ICLR "
         "2025, Tables 1 and 5)."
     )
     columns = [(name, "") for name in titles()[:-1]] + [(titles()[-1], "words")]
     table = Section("Success", hint, columns=columns, rows=[cells(r) for r in results])
-    return render_sections(TITLES[config["what"]], [table])
+    sections = [table]
+    if config["what"] in REWARDED:
+        sections += _how_they_learned(results, config["split"])
+    plots = {"curves": curves_figure(results)}
+    return render_sections(TITLES[config["what"]], sections, plots)
+
+
+def _how_they_learned(results: Sequence[Mapping[str, Any]], split: str) -> list[Section]:
+    columns = [("row", ""), ("variant", ""), ("label", "words"), ("%", "n")]
+    return [
+        Section(
+            "While they learn",
+            "Success once in homes of training over samples, which are control steps of single worlds. The paper "
+            "trains with 15 to 50 million.",
+            chart="curves",
+        ),
+        Section(
+            "Outcomes",
+            f"Share of the episodes by label, in homes of split {split}, beside the paper's (Tables 6 to 13).",
+            columns=[*columns, ("paper: %", "n")],
+            rows=outcomes(results, split),
+        ),
+    ]

@@ -18,6 +18,7 @@ from mjhab.core.typed.options import taken
 from mjhab.learning.configs import BC, preset_of
 from mjhab.paper.reproduce.rows import (
     COLUMNS,
+    RL_ALL,
     STUDENTS,
     TableRow,
     algorithm_of,
@@ -32,6 +33,8 @@ from mjhab.paper.reproduce.variants import (
     FILTERS,
     GOAL_ZONES,
     LONG_HORIZON,
+    PER_ALL,
+    REWARDED,
     STUDIES,
     VARIANTS,
     Variant,
@@ -44,6 +47,7 @@ DEFAULT_ROWS = {
     DEMO_COUNT: ("tidy_house/pick",),
     FILTERS: ("prepare_groceries/place",),
     CHOICES: ("set_table/open/drawer", "tidy_house/place"),
+    PER_ALL: tuple(row.name for row in table_rows().values() if not row.target),
 }
 """Rows of a study if none are named."""
 
@@ -66,7 +70,7 @@ class TableSpec(EnvSpec):
     what: Annotated[
         str,
         Flag(
-            metavar="table1|table5|demo_count|filters|choices|force_limits|goal_zones|long_horizon",
+            metavar="table1|table5|demo_count|filters|choices|force_limits|goal_zones|long_horizon|sac_ppo|per_all|curves",
             positional=True,
         ),
     ]
@@ -75,7 +79,9 @@ class TableSpec(EnvSpec):
     per subtask, unchanged and simplified. table5: behaviour cloning and the diffusion policy. demo_count: 1 to 1,000
     demonstrations per object (of --rows, else tidy_house/pick). filters: Place from objects put down, dropped, or both
     (of --rows, else prepare_groceries/place). choices: a preset of `mjhab train bc` with one choice changed at a time:
-    chunk, image size, noise of the expert, ... (of --rows, else set_table/open/drawer and tidy_house/place)."""
+    chunk, image size, noise of the expert, ... (of --rows, else set_table/open/drawer and tidy_house/place). sac_ppo:
+    rows by SAC and by PPO. per_all: one policy per object and one for all, with the failures of each (of --rows, else
+    Pick and Place). curves: success while policies learn, three seeds."""
     out: Annotated[Path, Flag(metavar="FOLDER"), Output()]
     """Folder of the runs, of results.json and of report.html."""
     rows: Annotated[
@@ -163,7 +169,8 @@ class TableSpec(EnvSpec):
     @property
     def preset_name(self) -> str:
         """Name of the preset, defaults resolved."""
-        return self.preset or DEFAULT_PRESETS.get(self.column, REINFORCEMENT_PRESET)
+        column = RL_ALL if self.what in REWARDED else self.column
+        return self.preset or DEFAULT_PRESETS.get(column, REINFORCEMENT_PRESET)
 
 
 def env_of(spec: TableSpec, row: TableRow, target: str) -> dict[str, Any]:
@@ -226,11 +233,12 @@ def chosen_rows(spec: TableSpec) -> list[TableRow]:
     if spec.column not in COLUMNS:
         raise unknown_name("column", spec.column, COLUMNS)
     _ = spec.asked
-    if spec.what in STUDIES and spec.column != STUDENTS:
+    compares = spec.what in (*STUDIES, *REWARDED)
+    if compares and spec.column != STUDENTS:
         raise UsageError(
-            f"{spec.what} is about imitation: leave out --column {spec.column}."
+            f"the variants of {spec.what} say how policies are trained: leave out --column {spec.column}."
         )
-    if spec.what in STUDIES and spec.policies is not None:
+    if compares and spec.policies is not None:
         raise UsageError(f"{spec.what} compares ways of training: leave out --policies.")
     for name in ("demos", "updates"):
         if getattr(spec, name) and spec.what not in STUDIES:
@@ -254,13 +262,22 @@ def chosen_rows(spec: TableSpec) -> list[TableRow]:
 
 def _check_preset(spec: TableSpec, row: TableRow) -> None:
     """Refuse a preset that the algorithm of a row does not have."""
-    algorithm = BC if spec.what in STUDIES else algorithm_of(row, spec.column)
-    if spec.column == STUDENTS:
-        preset_of(algorithm, spec.preset_name)
+    if spec.what in STUDIES:
+        preset_of(BC, spec.preset_name)
+        return
+    algorithms = {algorithm_of(row, spec.column)}
+    if spec.what in REWARDED:
+        ways = [variant.reinforcement for variant in chosen_variants(spec)]
+        algorithms = {
+            way.algorithm or algorithm_of(row, way.column) for way in ways if way
+        }
+    elif spec.column == STUDENTS:
+        preset_of(algorithm_of(row, spec.column), spec.preset_name)
         return
     from mjhab.learning.reinforcement.configs import reinforcement_preset
 
-    reinforcement_preset(algorithm, spec.preset_name)
+    for algorithm in algorithms:
+        reinforcement_preset(algorithm, spec.preset_name)
 
 
 def table_config(spec: TableSpec) -> dict[str, Any]:

@@ -9,6 +9,7 @@ from typing import Any
 
 from mjhab.config.profiles import unbound
 from mjhab.learning.configs import BC, DIFFUSION
+from mjhab.paper.reproduce.rows import RL_ALL, RL_PER
 
 TABLE1 = "table1"
 FORCE_LIMITS = "force_limits"
@@ -21,6 +22,13 @@ CHOICES = "choices"
 """Not a result of the paper: what single choices of our presets are worth."""
 STUDIES = (TABLE5, DEMO_COUNT, FILTERS, CHOICES)
 """Results about imitation: their variants differ in how policies are trained, not in how they are judged."""
+SAC_PPO = "sac_ppo"
+PER_ALL = "per_all"
+CURVES = "curves"
+REWARDED = (SAC_PPO, PER_ALL, CURVES)
+"""The same about reinforcement learning."""
+SEEDS = 3
+"""Seeds of the learning curves, as in the paper."""
 DEMOS_PER_OBJECT = (1, 10, 100, 500, 1000)
 PLACED = "placed"
 DROPPED = "dropped"
@@ -43,6 +51,19 @@ class Imitation:
     data: tuple[str, ...] = ("",)
     per_target: int = 0
     changes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Reinforcement:
+    """How a study trains policies by reinforcement learning.
+
+    column: one of `rows.COLUMNS`, says what each policy is for. algorithm: sac or ppo; "" for that of the column.
+    seed: added to that of the request.
+    """
+
+    column: str
+    algorithm: str = ""
+    seed: int = 0
 
 
 STYLES: dict[str, tuple[str, ...]] = {
@@ -80,7 +101,7 @@ class Variant:
 
     name: of the folder of its runs. about: description. force_limit: on the cumulative force [N x control steps];
     infinity for no limit, None for the limit of the profile. goal_type: see `TaskConfig.goal_type`; "" takes that of
-    the profile. imitation: how the policies are trained, in a study; else None.
+    the profile. imitation, reinforcement: how the policies are trained, in a study; else None.
     """
 
     name: str
@@ -88,6 +109,7 @@ class Variant:
     force_limit: float | None = None
     goal_type: str = ""
     imitation: Imitation | None = None
+    reinforcement: Reinforcement | None = None
 
     def env_options(self, options: Mapping[str, Any], subtask: str) -> dict[str, Any]:
         """Environment options under these rules.
@@ -150,6 +172,18 @@ VARIANTS: dict[str, tuple[Variant, ...]] = {
             "split_50_50", "half of each", imitation=Imitation(data=(PLACED, DROPPED))
         ),
     ),
+    SAC_PPO: (
+        Variant("sac", "SAC", reinforcement=Reinforcement(RL_ALL, "sac")),
+        Variant("ppo", "PPO", reinforcement=Reinforcement(RL_ALL, "ppo")),
+    ),
+    PER_ALL: (
+        Variant(RL_PER, "one policy per object", reinforcement=Reinforcement(RL_PER)),
+        Variant(RL_ALL, "one policy for all", reinforcement=Reinforcement(RL_ALL)),
+    ),
+    CURVES: tuple(
+        Variant(f"seed_{k}", f"seed + {k}", reinforcement=Reinforcement(RL_ALL, seed=k))
+        for k in range(SEEDS)
+    ),
     CHOICES: (
         *(
             Variant(name, about, imitation=Imitation(changes=changes))
@@ -173,4 +207,4 @@ VARIANTS: dict[str, tuple[Variant, ...]] = {
     ),
 }
 """Rules of evaluation, or ways of training, for each result of the paper, by the result's name. Training uses the rules
-of Table 1, so does the evaluation of STUDIES."""
+of Table 1, so does the evaluation of STUDIES and of REWARDED."""

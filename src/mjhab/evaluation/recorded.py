@@ -11,6 +11,7 @@ from mjhab.core.conventions.names import UNWRAPPED
 from mjhab.core.errors import UsageError, unknown_name
 from mjhab.data.record.provenance import TRAIN_MAKER
 from mjhab.data.store.episode_data import RunInfo
+from mjhab.scenes.pack_source import pack_request
 
 if TYPE_CHECKING:
     from mjhab.envs.sequential import SequentialTaskEnv
@@ -42,6 +43,8 @@ def recorded_env(run: RunInfo, **options: Any) -> SequentialTaskEnv:
             raise unknown_name("environment option of the recorded episodes", name, known)
     # What older versions had no option for.
     config.setdefault("joint_angles", UNWRAPPED)
+    assets = pack_request(config.get("assets", "builtin"), recorded=True)
+    config["assets"] = assets.as_json()
     # All option values of the profile are recorded; its name would only forbid other cameras.
     config.pop("profile", None)
     for name in ("episodes_file", "spawns"):

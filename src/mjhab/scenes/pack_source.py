@@ -37,10 +37,11 @@ class PackRequest:
     name; "" for none. With --stage stand-in it is the mesh that stands in."""
     scenes: Annotated[tuple[str, ...], Flag(metavar="NAME|PATTERN ...")] = ()
     """With a ReplicaCAD folder: homes that the pack is to have, or patterns such as 'apt_*'; () for its own choice."""
-    stage: Annotated[str, Flag(metavar="own|stand-in|none")] = OWN_STAGE
+    stage: Annotated[str, Flag(metavar="own|stand-in|none", shown="stand-in")] = ""
     """With a ReplicaCAD folder, the walls: own (of the stages that the scenes name, none where these are missing),
     stand-in (where they are missing, those of stages/frl_apartment_stage_simple.glb or --stage-mesh, fitted to the
-    scenes), or none."""
+    scenes), or none. By default stand-in; own where --stage-mesh is given, or the folder lacks what a stand-in needs.
+    What was recorded without it had own."""
 
     def __post_init__(self) -> None:
         for name, hint in typing.get_type_hints(type(self)).items():
@@ -48,7 +49,8 @@ class PackRequest:
             object.__setattr__(self, name, value)
         names = [name for text in self.articulate for name in text.split(",") if name]
         object.__setattr__(self, "articulate", tuple(sorted(set(names))))
-        check_one_of("stage", self.stage, (OWN_STAGE, STAND_IN, NO_STAGE), where="assets")
+        kinds = (OWN_STAGE, STAND_IN, NO_STAGE)
+        check_one_of("stage", self.stage or OWN_STAGE, kinds, where="assets")
         if self.stage == NO_STAGE and self.stage_mesh:
             raise UsageError(
                 f"stage 'none' and stage_mesh {self.stage_mesh!r} exclude each other: leave out one of them."
@@ -57,7 +59,7 @@ class PackRequest:
     def __str__(self) -> str:
         """The place, and in brackets the options that differ from their defaults, for messages."""
         parts = [f"articulate: {', '.join(self.articulate)}"] if self.articulate else []
-        stage = [self.stage] if self.stage != OWN_STAGE else []
+        stage = [self.stage] if self.stage else []
         stage += [self.stage_mesh] if self.stage_mesh else []
         parts += [f"stage: {', '.join(stage)}"] if stage else []
         parts += [f"scenes: {', '.join(self.scenes)}"] if self.scenes else []
@@ -87,12 +89,28 @@ Assets = str | Mapping[str, Any] | PackRequest
 """Accepted forms of a request: name or path, the result of `PackRequest.as_json`, or a `PackRequest`."""
 
 
-def pack_request(assets: Assets) -> PackRequest:
-    """Convert any form of a request to a `PackRequest`.
+def pack_request(assets: Assets, recorded: bool = False) -> PackRequest:
+    """Convert any form of a request to a `PackRequest` that names all that its source would choose.
+
+    Args:
+        assets: the request.
+        recorded: it was recorded; what it does not name is as it was before there was an option for it.
 
     Raises:
         UsageError: it has none of the forms of `Assets`, or is a mapping with keys that are no fields of `PackRequest`.
     """
+    request = _request(assets)
+    if request.place == PackRequest.place:
+        # The most frequent one, whose source takes a while to load and completes nothing.
+        return request
+    source = _source(request.place)
+    if source is None or source.complete is None:
+        return request
+    return source.complete(request, recorded)
+
+
+def _request(assets: Assets) -> PackRequest:
+    """Convert any form of a request to a `PackRequest` of what it names."""
     if isinstance(assets, PackRequest):
         return assets
     if isinstance(assets, str):
@@ -120,7 +138,7 @@ def _from_text(text: str) -> PackRequest:
         place,
         tuple(filter(None, furniture.split(","))),
         stage_mesh="" if named else stage,
-        stage=stage if named else OWN_STAGE,
+        stage=stage if named else "",
     )
 
 
@@ -135,6 +153,8 @@ class PackSource:
         finds: returns whether this source opens a path; should be fast and must not raise. None for a source that is
             found by name.
         options: fields of `PackRequest` that the source accepts besides ``place``.
+        complete: gives options that a request leaves open their values, so that they are recorded. Takes the request,
+            and whether it was recorded: then they are those of versions without such an option. None for none.
 
     Raises:
         UsageError: a field has an invalid value.
@@ -144,13 +164,15 @@ class PackSource:
     open: Callable[[PackRequest], Pack]
     finds: Callable[[str], bool] | None = None
     options: frozenset[str] = frozenset()
+    complete: Callable[[PackRequest, bool], PackRequest] | None = None
 
     def __post_init__(self) -> None:
         check_name("name of a pack source", self.name)
-        if not callable(self.open) or not (self.finds is None or callable(self.finds)):
+        others = (self.finds, self.complete)
+        if not callable(self.open) or not all(f is None or callable(f) for f in others):
             raise fault(
                 f"pack source {self.name!r}",
-                "open, and finds unless it is None, must be functions.",
+                "open, and finds and complete unless they are None, must be functions.",
             )
         options = fitting(
             "options",
@@ -195,20 +217,23 @@ def source_of(request: PackRequest) -> PackSource | None:
     Raises:
         UsageError: the source does not accept an option of the request, or the place is not a valid path.
     """
-    with about("assets"):
-        # Refuse names that no file can have before sources look for files.
-        beside(Path(), request.place)
-    found = _named_source(request.place) or next(
-        (
-            s
-            for s in PACK_SOURCES.values()
-            if s.finds is not None and s.finds(request.place)
-        ),
-        None,
-    )
+    found = _source(request.place)
     if found is not None:
         _check_options(found, request)
     return found
+
+
+def _source(place: str) -> PackSource | None:
+    """The source that opens a place; None if there is none.
+
+    Raises:
+        UsageError: no file can have this name.
+    """
+    with about("assets"):
+        beside(Path(), place)
+    return _named_source(place) or next(
+        (s for s in PACK_SOURCES.values() if s.finds is not None and s.finds(place)), None
+    )
 
 
 def _named_source(name: str) -> PackSource | None:

@@ -24,6 +24,8 @@ SCENE_SUFFIX = ".scene_instance.json"
 PREFIX = "frl_apartment_"
 """Prefix of most names in the data set, which our names lack."""
 FOLDERS = ("configs/scenes", "configs/objects", "objects", "urdf")
+NAVMESHES = "navmeshes_default"
+"""Folder of the scenes' navigation meshes for an agent of radius `walkable.AGENT_RADIUS_M`."""
 HOW_TO_GET = "`mjhab assets fetch replica_cad` gets it"
 _MIN_QUATERNION_LENGTH = 0.5
 _MAX_LEVEL_TILT_RAD = 1e-4

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 
 from mjhab.core.errors import UsageError
 from mjhab.scenes.pack_source import PackRequest, PackSource
 from mjhab.scenes.replica_cad.files import SCENE_SUFFIX, is_replica_cad
-from mjhab.scenes.replica_cad.stage_choice import StageRequest
-from mjhab.scenes.spec import Pack
+from mjhab.scenes.replica_cad.stage_choice import StageRequest, can_stand_in
+from mjhab.scenes.spec import OWN_STAGE, STAND_IN, Pack
 
 _SUBFOLDER = "replica_cad"
 """Folder of the data set in the folder of all data sets (`mjhab assets where`)."""
@@ -51,6 +52,17 @@ def _open(request: PackRequest) -> Pack:
     return _read(folder.resolve(), (*scenes, *request.scenes), stage, request.articulate)
 
 
+def _complete(request: PackRequest, recorded: bool) -> PackRequest:
+    """The request with the stage it takes if it names none, see `PackRequest.stage`."""
+    found = locate(request.place)
+    if request.stage or found is None:
+        return request
+    folder, scenes = found
+    fits = not (recorded or request.stage_mesh)
+    fits = fits and can_stand_in(folder, (*scenes, *request.scenes))
+    return replace(request, stage=STAND_IN if fits else OWN_STAGE)
+
+
 @lru_cache(maxsize=4)
 def _read(
     folder: Path,
@@ -68,4 +80,5 @@ SOURCE = PackSource(
     _open,
     lambda place: locate(place) is not None,
     frozenset({"articulate", "stage", "stage_mesh", "scenes"}),
+    _complete,
 )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -10,14 +10,16 @@ from typing import Any
 import numpy as np
 
 from mjhab.core.errors import UsageError
-from mjhab.scenes.replica_cad.files import field as entry
 from mjhab.scenes.replica_cad.files import (
+    NAVMESHES,
+    SCENE_SUFFIX,
     file_in,
     load_json,
     numbers,
     rotation,
     template,
 )
+from mjhab.scenes.replica_cad.files import field as entry
 from mjhab.scenes.replica_cad.stage import Extent, stage_shape
 from mjhab.scenes.spec import NO_STAGE, OTHER_STAGE, OWN_STAGE, STAND_IN, Geom
 
@@ -25,6 +27,23 @@ Shape = tuple[tuple[Geom, ...], Extent]
 """Wall boxes of a stage, and x_min, y_min, x_max, y_max [m] of its floor."""
 STAND_IN_FILE = Path("stages") / "frl_apartment_stage_simple.glb"
 """The mesh that stands in unless the user names another, in the folder of the data set (`stand_in`)."""
+
+
+def can_stand_in(folder: Path, scenes: Iterable[str] = ()) -> bool:
+    """Whether a data set has what a stand-in for missing stages needs: its mesh, and the scenes' navigation meshes.
+
+    Args:
+        folder: of the data set.
+        scenes: names or patterns of scenes besides the staged ones.
+    """
+    if not (folder / STAND_IN_FILE).is_file():
+        return False
+    patterns = ("v3_sc?_staging_*", *scenes)
+    found = (
+        f for p in patterns for f in folder.glob(f"configs/scenes/{p}{SCENE_SUFFIX}")
+    )
+    names = (file.name.removesuffix(SCENE_SUFFIX) for file in found)
+    return all((folder / NAVMESHES / f"{name}.navmesh").is_file() for name in names)
 
 
 @dataclass(frozen=True)

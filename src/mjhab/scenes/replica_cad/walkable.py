@@ -11,10 +11,9 @@ import numpy as np
 from scipy.ndimage import distance_transform_edt
 
 from mjhab.core.errors import fault
+from mjhab.scenes.replica_cad.files import NAVMESHES
 from mjhab.scenes.replica_cad.navmesh import NavMesh, read_navmesh
 
-FOLDER = "navmeshes_default"
-"""Folder of the navigation meshes for an agent of radius `AGENT_RADIUS_M`."""
 AGENT_RADIUS_M = 0.1
 """Distance that these meshes keep from whatever stood in the scene, rounded up to their cells of 5 cm [m]."""
 MAX_FLOOR_HEIGHT_M = 0.25
@@ -56,9 +55,9 @@ def walkable_floor(folder: Path, scenes: Iterable[str]) -> Walkable:
     What furniture covers in one scene is free in another, so that what is left are walls.
 
     Raises:
-        UsageError: a scene has no navigation mesh in `FOLDER`, or its file is broken.
+        UsageError: a scene has no navigation mesh in `files.NAVMESHES`, or its file is broken.
     """
-    meshes = [read_navmesh(folder / FOLDER / f"{name}.navmesh") for name in scenes]
+    meshes = [read_navmesh(folder / NAVMESHES / f"{name}.navmesh") for name in scenes]
     if not meshes:
         raise fault(folder, "no scene whose stage is missing.")
     bounds = np.array([mesh.bounds for mesh in meshes])

@@ -172,7 +172,7 @@ def test_options_of_a_pack_travel_as_a_dataclass_and_through_files(folder: Path)
     assert open_pack(request).homes[0].floor == pytest.approx((-5, -3, 5, 3))
     assert open_pack(json.loads(json.dumps(request.as_json()))) is open_pack(request)
     assert pack_request(f"{folder}?articulate=cabinet?stage={stage}") == PackRequest(
-        str(folder), ("cabinet",), str(stage)
+        str(folder), ("cabinet",), str(stage), stage="own"
     )
     assert PackRequest("builtin").as_json() == "builtin"
     with refused("furniture to articulate", "cabinets", expected="cabinet"):

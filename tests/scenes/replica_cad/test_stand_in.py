@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import logging
 import shutil
@@ -12,9 +13,11 @@ import numpy as np
 import pytest
 
 import mjhab
+from mjhab.config.env import EnvConfig
 from mjhab.core.errors import UsageError
 from mjhab.data.record.provenance import describe_run
 from mjhab.episodes.spawn_sets import SpawnRecipe, header_of
+from mjhab.evaluation.recorded import recorded_env
 from mjhab.layout.check import remarks
 from mjhab.layout.compile import compile_home, home_hash
 from mjhab.layout.layout import Layout
@@ -121,8 +124,10 @@ def test_the_stage_is_told_and_part_of_the_identity(
     folder: Path, pack: Pack, bare: Pack, tmp_path: Path
 ) -> None:
     usual = open_pack(PackRequest(str(folder), scenes=EVERY_MACRO))
-    assert (pack.stage, bare.stage, usual.stage) == ("stand-in", "none", "none")
-    assert usual.homes == bare.homes and all(home.walls == () for home in bare.homes)
+    own = open_pack(PackRequest(str(folder), stage="own", scenes=EVERY_MACRO))
+    assert (pack.stage, bare.stage, own.stage) == ("stand-in", "none", "none")
+    assert usual is pack
+    assert own.homes == bare.homes and all(home.walls == () for home in bare.homes)
     hashes = {home_hash(Layout(p, ()), p.homes[0]) for p in (pack, bare)}
     assert len(hashes) == 2
     # A home does not depend on which others are opened.
@@ -134,6 +139,43 @@ def test_the_stage_is_told_and_part_of_the_identity(
     save_pack(pack, tmp_path / "saved")
     again = load_pack(tmp_path / "saved")
     assert again.stage == "stand-in" and again.homes == pack.homes
+
+
+def test_requests_say_the_stage_and_old_ones_had_none(folder: Path) -> None:
+    """What was recorded before there was a stand-in had no walls; what is recorded now says what it has."""
+    given = EnvConfig(assets=str(folder)).assets
+    assert given == {"place": str(folder), "stage": "stand-in"}
+    assert EnvConfig(assets=given).assets == given
+    for old in (str(folder), {"place": str(folder)}, f"{folder}?articulate=cabinet"):
+        assert pack_request(old, recorded=True).stage == "own"
+    assert pack_request(given, recorded=True).stage == "stand-in"
+    assert pack_request("builtin", recorded=True) == PackRequest("builtin")
+    mesh = str(folder / "stages" / "frl_apartment_stage_simple.glb")
+    assert pack_request(f"{folder}?stage={mesh}").stage == "own"
+
+
+def test_an_old_recording_is_simulated_without_walls(folder: Path) -> None:
+    env = mjhab.make(assets=PackRequest(str(folder), stage="own"), home=EVERY_MACRO[3])
+    run = describe_run(env, {"name": "nobody"}, "none")
+    env.close()
+    options = {**run.config["env"], "assets": str(folder)}
+    old = dataclasses.replace(run, config={**run.config, "env": options})
+    again = recorded_env(old)
+    assert again.layout.stage == "none" and not again.layout.pack.homes[0].walls
+    again.close()
+
+
+@pytest.mark.parametrize("lacks", ["stages", "navmeshes_default"])
+def test_a_folder_without_a_stand_in_has_no_walls_as_before(
+    lacks: str, folder: Path, tmp_path: Path
+) -> None:
+    for part in folder.iterdir():
+        if part.name != lacks:
+            (tmp_path / part.name).symlink_to(part)
+    request = pack_request(str(tmp_path))
+    assert request.stage == "own"
+    pack = open_pack(dataclasses.replace(request, scenes=EVERY_MACRO[:1]))
+    assert pack.stage == "none" and pack.homes[0].walls == ()
 
 
 def test_one_line_tells_what_stands_in(

@@ -12,7 +12,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Self
 
-from mjhab.config.env import SPLITS
+from mjhab.config.env import SPLITS, EnvConfig
 from mjhab.config.env_spec import EnvSpec
 from mjhab.config.env_spec import env_options as env_mark
 from mjhab.core.errors import UsageError, unknown_name
@@ -319,7 +319,7 @@ class ImitationSpec(TrainSpec):
         them in the packs of ``also_assets``."""
         here = (self.scene, *(_also(self.scene, text) for text in self.also))
         elsewhere = (
-            dataclasses.replace(scene, assets=pack)
+            dataclasses.replace(scene, assets=EnvConfig(assets=pack).assets)
             for pack in self.also_assets
             for scene in here
         )

@@ -91,6 +91,19 @@ def test_there_is_no_room_for_the_ordinary_motion_at_the_wall(
     assert room < link.handle.thickness / 2 + motion.OPENED_M
 
 
+def test_there_is_a_motion_for_a_door_that_leans_on_the_wall(
+    replica_cad: SequentialTaskEnv, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Where Open leaves it: it swings on until its handle meets the wall; 57 of 82 SetTables ended there."""
+    replica_cad.reset(seed=1, options={"episode": [0], "reset_mask": ONE})
+    view = replica_cad.view(0)
+    link = view.home.links[DOOR]
+    monkeypatch.setattr(WorldView, "link_q", lambda self, name: 1.76)
+    path = beside_wall.from_edge(view, link)
+    assert path is not None
+    assert path.values[0] == pytest.approx(1.77)
+
+
 def test_a_door_with_room_behind_is_closed_as_ever(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

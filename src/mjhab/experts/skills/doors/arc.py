@@ -23,6 +23,8 @@ from mjhab.robots.robot import Robot
 Motion = motion.Motion
 MOTIONS_TRIED = 16
 """Number of motions whose clearance is checked."""
+CLEAR_M = 0.01
+"""Clearance of the robot from walls and furniture along a motion that counts as free."""
 MAX_SWING_RAD = 0.045
 """Largest change of the commanded door angle per control step."""
 MAX_LAG_STEPS = 12
@@ -100,7 +102,7 @@ def reachable(
     found: LinkMotions,
     angles: np.ndarray,
     back: float = 0.0,
-    stops: bool = False,
+    clear: float | None = None,
 ) -> LinkPath | None:
     """Select the motion that is reached first among those whose whole motion is collision-free in this home.
 
@@ -110,7 +112,8 @@ def reachable(
         found: motions in the plan frame.
         angles: (K,) door angles of their way points [rad].
         back: length of the hand's straight line to the first way point; 0 for none.
-        stops: the route ends before this line; else it may go on to the first way point when the base drives forwards.
+        clear: clearance that tells free motions in a narrow place, to which the route does not lead: it ends before the
+            straight line. None: it is `CLEAR_M`, and a drive forwards may end at the first way point.
 
     Returns:
         The motion in the world, with the route to it; None if there is none.
@@ -119,13 +122,13 @@ def reachable(
     walls = Boxes.join([view.home.boxes, view.link_boxes((link.id,))])
     # Neighbours collide alike: variety finds a free motion with fewer checks.
     goals = goals[_distinct(goals[:, 0, :3])[:MOTIONS_TRIED]]
-    free = np.array(
-        [g for g in goals if motion.spheres(view.robot).clearance(g, walls).min() > 0.01]
-    )
+    spheres = motion.spheres(view.robot)
+    least = CLEAR_M if clear is None else clear
+    free = np.array([g for g in goals if spheres.clearance(g, walls).min() > least])
     if not len(free):
         return None
     before = withdrawn(view.robot, free[:, 0], back) if back > 0 else None
-    ends = before if stops and before is not None else free[:, 0]
+    ends = free[:, 0] if clear is None or before is None else before
     best = approach.best_route(view, ends, before, link if back > 0 else None)
     return None if best is None else LinkPath(view.robot, free[best[0]], angles, best[1])
 

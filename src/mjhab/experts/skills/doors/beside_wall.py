@@ -38,6 +38,9 @@ LEAN_RAD = 2.2
 """Angle between the fingers and the inward normal of the door at the wall: they lean by 0.63 rad to it. Of spheres
 around the hand the wall keeps 14 mm in ``v3_sc3`` and 24 mm at the wrist in ``builtin_m3_20``; with 2.0, where the palm
 is nearer than the tips, 10 and 8 mm; with 2.3, 12 and 30 mm."""
+CLEAR_M = (0.01, 0.003)
+"""Clearances from the wall that are tried in turn. A door that swung open leans on it by its handle: in ``v3_sc3`` at
+1.752 to 1.760 rad, where the wall keeps 9 to 5 mm from the spheres around the hand."""
 SHUT_YAW_RAD = 0.4
 """Yaw of the hand at the closed door, see `motions.PUSH_YAWS_RAD`."""
 ANGLE_STEP_RAD = 0.05
@@ -57,7 +60,11 @@ def from_edge(view: WorldView, link: JointedLink) -> LinkPath | None:
     search = functools.partial(edge_motions, angle=angle)
     found = link_motions.cached(view.robot, link, f"edge {angle:.2f}", search)
     found, angles = from_angle(view.robot, found, edge_angles(angle), now + AHEAD_RAD)
-    return reachable(view, link, found, angles, BEHIND_WAY_M, stops=True)
+    for clear in CLEAR_M:
+        path = reachable(view, link, found, angles, BEHIND_WAY_M, clear)
+        if path is not None:
+            return path
+    return None
 
 
 def edge_angles(angle: float) -> np.ndarray:

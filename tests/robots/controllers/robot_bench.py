@@ -26,6 +26,7 @@ REMEMBERING = (
     "pd_joint_target_delta_pos",
     "pd_ee_target_delta_pos",
     "pd_ee_target_delta_pose",
+    "pd_ee_target_delta_pose_maniskill",
     "pd_ee_pose",
     "pd_joint_delta_pos_stiff_body",
 )

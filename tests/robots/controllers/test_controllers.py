@@ -41,6 +41,8 @@ ARM_DIMS = dict.fromkeys(CONTROL_MODES, 7) | {
     "pd_ee_delta_pose": 6,
     "pd_ee_delta_pose_align": 6,
     "pd_ee_target_delta_pose": 6,
+    "pd_ee_delta_pose_maniskill": 6,
+    "pd_ee_target_delta_pose_maniskill": 6,
     "pd_ee_pose": 6,
 }
 ABSOLUTE = ("pd_joint_pos", "pd_joint_pos_vel", "pd_ee_pose")
@@ -56,6 +58,8 @@ def test_every_mode_of_the_original_is_there():
         "pd_joint_target_delta_pos",
         "pd_ee_target_delta_pos",
         "pd_ee_target_delta_pose",
+        "pd_ee_delta_pose_maniskill",
+        "pd_ee_target_delta_pose_maniskill",
         "pd_ee_pose",
         "pd_joint_vel",
         "pd_joint_pos_vel",

@@ -7,6 +7,11 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+from mjhab.core.conventions.hand_turns import (
+    maniskill_angles,
+    maniskill_turn,
+    turns_for_maniskill,
+)
 from mjhab.core.rotations import mat_from_rotation_vector, rotation_vector
 from mjhab.robots.controllers import CONTROL_MODES, make_controller
 from mjhab.robots.fetch.model import REST_QPOS
@@ -57,6 +62,8 @@ def test_end_effector_moves_along_its_frame(mode: str):
     if size == 6:
         turn = rotation_vector(b_rot @ rot.swapaxes(1, 2))
         about = rot[6, :, 0] if "align" in mode else np.array([1.0, 0.0, 0.0])
+        if mode.endswith("_maniskill"):
+            about = -about
         assert (
             turn[6] @ about > 0.03
             and np.linalg.norm(turn[6] - (turn[6] @ about) * about) < 0.01
@@ -94,6 +101,68 @@ def test_one_command_of_the_end_effector_is_met_and_its_turn_clipped_by_norm(mod
         rotation_vector(want @ got_rot.swapaxes(1, 2)), 0.0, atol=2e-3
     )
     assert np.linalg.norm(turn[0]) == pytest.approx(0.1)
+
+
+@pytest.mark.parametrize(
+    "mode", ["pd_ee_delta_pose_maniskill", "pd_ee_target_delta_pose_maniskill"]
+)
+def test_maniskills_hand_turns_backwards_by_three_angles(mode: str):
+    """Its numbers are angles about x, y, z, and it scales them by -0.1 (ManiSkill#1469)."""
+    state = still_state(6)
+    controller = make_controller(mode, 6)
+    controller.reset(np.ones(6, bool), state)
+    pos, rot = ROBOT.arm_chain.tip_pose(state.robot_q[:, ARM])
+    actions = np.zeros((6, controller.dim))
+    actions[:3, 3:6] = np.eye(3)
+    actions[3, 3:6] = (0.5, 0.6, 0.6)
+    actions[4, 3:6] = (0.9, 0.9, 0.0)
+    actions[5, :3] = 0.2
+    got_pos, got_rot = ROBOT.arm_chain.tip_pose(controller.ctrl(actions, state)[:, ARM])
+    turns = rotation_vector(got_rot @ rot.swapaxes(1, 2))
+    np.testing.assert_allclose(turns[:3], -0.1 * np.eye(3), atol=2e-3)
+    moved = np.full((6, 3), 0.0)
+    moved[5] = 0.02
+    np.testing.assert_allclose(got_pos - pos, moved, atol=2e-4)
+    # Clipped by its length.
+    assert np.linalg.norm(turns[4]) == pytest.approx(0.1, abs=2e-3)
+    x, y, _ = -0.1 * actions[3, 3:6]
+    order = [(x, 0, 0), (0, y, 0), (0, 0, y)]
+    about_x, about_y, about_z = mat_from_rotation_vector(np.array(order))
+    want = about_x @ about_y @ about_z @ rot[3]
+    error = rotation_vector((want @ got_rot[3].T)[None])
+    np.testing.assert_allclose(error, 0.0, atol=2e-3)
+
+
+def test_turns_are_converted_to_maniskills_angles():
+    vectors = np.random.default_rng(3).normal(size=(50, 3)) * 0.3
+    turns = maniskill_turn(maniskill_angles(vectors))
+    np.testing.assert_allclose(turns, mat_from_rotation_vector(vectors), atol=1e-12)
+    # Small turns are the same numbers backwards.
+    np.testing.assert_allclose(
+        maniskill_angles(vectors * 1e-4), -vectors * 1e-4, atol=1e-8
+    )
+
+
+def test_an_exported_action_turns_the_hand_as_ours_did():
+    """The hand of ManiSkill's mode, given converted numbers, goes where ours of the same name went."""
+    state = still_state(6)
+    ours = make_controller("pd_ee_delta_pose", 6)
+    actions = np.zeros((6, ours.dim))
+    actions[:, :6] = np.random.default_rng(4).uniform(-0.5, 0.5, (6, 6))
+    converted = actions.copy()
+    converted[:, 3:6] = turns_for_maniskill(actions[:, 3:6])
+    poses = []
+    for mode, given in (
+        ("pd_ee_delta_pose", actions),
+        ("pd_ee_delta_pose_maniskill", converted),
+    ):
+        controller = make_controller(mode, 6)
+        controller.reset(np.ones(6, bool), state)
+        poses.append(ROBOT.arm_chain.tip_pose(controller.ctrl(given, state)[:, ARM]))
+    np.testing.assert_allclose(poses[0][0], poses[1][0], atol=1e-4)
+    # The clip by length takes a little of the largest turns.
+    np.testing.assert_allclose(poses[0][1], poses[1][1], atol=5e-4)
+    assert np.abs(converted[:, 3:6] + actions[:, 3:6]).max() > 1e-3
 
 
 def test_absolute_pose_far_away_is_approached_over_several_steps():

@@ -21,6 +21,11 @@ import h5py
 import numpy as np
 
 from mjhab.core.conventions.changes import to_scan_axes
+from mjhab.core.conventions.hand_turns import (
+    AS_MANISKILL,
+    TURN_COLUMNS,
+    turns_for_maniskill,
+)
 from mjhab.core.conventions.names import OBJECT_AXES, SCAN_AXES
 from mjhab.core.errors import UsageError
 from mjhab.core.files.reading import read_json_object
@@ -50,6 +55,7 @@ from mjhab.rollout.records import EpisodeRecord
 
 CHAIN = "sequential_task"
 """Name of the folder of whole chains."""
+_OF_MANISKILL = {own: name for name, own in AS_MANISKILL.items()}
 _GZIP = 5
 """Compression level of images, as in MS-HAB."""
 
@@ -225,10 +231,10 @@ def _put(group: h5py.Group, episode: RecordedEpisode, steps: int) -> None:
     ends = np.zeros(steps, bool)
     ends[-1] = True
     terminated = episode.terminated and steps == episode.steps
-    group["actions"] = episode.array("actions")[:steps].astype(np.float32)
-    group["actions_intended"] = episode.array("actions_intended")[:steps].astype(
-        np.float32
-    )
+    for name in ("actions", "actions_intended"):
+        group[name] = _turned_hand(episode, episode.array(name)[:steps]).astype(
+            np.float32
+        )
     group["actor"] = episode.array("actor")[:steps]
     group["terminated"] = ends & terminated
     group["truncated"] = ends & (not terminated)
@@ -236,6 +242,21 @@ def _put(group: h5py.Group, episode: RecordedEpisode, steps: int) -> None:
     group["fail"] = episode.array("reward/fail")[:steps].astype(bool)
     group["rewards"] = episode.array("reward/total")[:steps].astype(np.float32)
     group["is_teleported"] = teleported_steps(episode)[:steps]
+
+
+def _control_mode(episode: RecordedEpisode) -> str:
+    """Control mode of the run of an episode."""
+    env = episode.run.config.get("env", {})
+    return env.get("control_mode", "pd_joint_delta_pos")
+
+
+def _turned_hand(episode: RecordedEpisode, actions: np.ndarray) -> np.ndarray:
+    """Actions (T, A) with which ManiSkill's controller of the same name turns the hand as ours has."""
+    if _control_mode(episode) not in AS_MANISKILL:
+        return actions
+    turned = actions.astype(np.float64)
+    turned[:, TURN_COLUMNS] = turns_for_maniskill(turned[:, TURN_COLUMNS])
+    return turned
 
 
 def _observations(
@@ -294,9 +315,7 @@ def _episode_info(number: int, episode: RecordedEpisode, steps: int) -> dict[str
         ),
         "home": record.home,
         "episode_index": record.index,
-        "control_mode": episode.run.config.get("env", {}).get(
-            "control_mode", "pd_joint_delta_pos"
-        ),
+        "control_mode": _OF_MANISKILL.get(_control_mode(episode), _control_mode(episode)),
         "elapsed_steps": steps,
         "navigation": "teleport" if navigates_by_teleport(episode) else "drive",
         "actors": list(episode.actors),

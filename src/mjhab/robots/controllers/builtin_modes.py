@@ -37,6 +37,14 @@ PD_EE_TARGET_DELTA_POS = ControlMode(
 PD_EE_TARGET_DELTA_POSE = ControlMode(
     "pd_ee_target_delta_pose", partial(EndEffector, start="target")
 )
+PD_EE_DELTA_POSE_MANISKILL = ControlMode(
+    "pd_ee_delta_pose_maniskill",
+    partial(EndEffector, start="measured", as_maniskill=True),
+)
+PD_EE_TARGET_DELTA_POSE_MANISKILL = ControlMode(
+    "pd_ee_target_delta_pose_maniskill",
+    partial(EndEffector, start="target", as_maniskill=True),
+)
 PD_EE_POSE = ControlMode("pd_ee_pose", partial(EndEffector, start="absolute"))
 PD_JOINT_DELTA_POS_STIFF_BODY = ControlMode(
     "pd_joint_delta_pos_stiff_body", JointDelta, stiff_body=True

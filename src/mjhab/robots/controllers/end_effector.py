@@ -8,6 +8,7 @@ import numpy as np
 
 from mjhab.core.arithmetic.sums import ordered_sum
 from mjhab.core.arrays import Array, between, constant, namespace, zeros
+from mjhab.core.conventions.hand_turns import maniskill_turn
 from mjhab.core.rotations import mat_from_rotation_vector, rotation_vector
 from mjhab.robots.controllers.arm import ArmRequest, CommandedArm
 from mjhab.robots.controllers.table import ActionEntry
@@ -44,6 +45,9 @@ class EndEffector(CommandedArm):
             motion, as in ManiSkill's position-only inverse kinematics.
         own_axes: changes are along and about the axes of the tcp frame instead of those of `Robot.arm_root`
             (``pd_ee_delta_pose_align``).
+        as_maniskill: turns are what ManiSkill 3 makes of the same numbers (mani_skill/agents/controllers/
+            pd_ee_pose.py): three angles about the axes x, y, z, and backwards, because it scales them by the lower
+            bound of the turn (its issue #1469).
     """
 
     def __init__(
@@ -53,12 +57,14 @@ class EndEffector(CommandedArm):
         start: Start,
         rotates: bool = True,
         own_axes: bool = False,
+        as_maniskill: bool = False,
     ) -> None:
         super().__init__(request, _rows(request, start, rotates, own_axes))
         self.remembers = start != "measured"
         self._start = start
         self._rotates = rotates
         self._own_axes = own_axes
+        self._as_maniskill = as_maniskill
         self._turn = request.limits.ee_turn
         self._chain = request.robot.arm_chain
 
@@ -82,9 +88,13 @@ class EndEffector(CommandedArm):
             return pos + move, rot
         xp = namespace(move)
         length = xp.sqrt(xp.sum(move[:, 3:] ** 2, axis=1, keepdims=True))
-        turn = mat_from_rotation_vector(
-            move[:, 3:]
-            * (self._turn / xp.maximum(length, constant((self._turn,), length)))
+        limited = move[:, 3:] * (
+            self._turn / xp.maximum(length, constant((self._turn,), length))
+        )
+        turn = (
+            maniskill_turn(limited)
+            if self._as_maniskill
+            else mat_from_rotation_vector(limited)
         )
         if self._own_axes:
             return pos + (rot @ move[:, :3, None])[..., 0], rot @ turn

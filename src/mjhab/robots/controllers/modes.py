@@ -24,6 +24,8 @@ _BUILTIN_MODES = (
     "pd_ee_delta_pose_align",
     "pd_ee_target_delta_pos",
     "pd_ee_target_delta_pose",
+    "pd_ee_delta_pose_maniskill",
+    "pd_ee_target_delta_pose_maniskill",
     "pd_ee_pose",
     "pd_joint_delta_pos_stiff_body",
 )

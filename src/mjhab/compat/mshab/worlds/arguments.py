@@ -69,7 +69,7 @@ class Arguments:
     Attributes:
         subtask: "" for a whole task.
         num_envs: worlds.
-        obs_mode: key of OBS_MODES. reward_mode: one of REWARD_MODES. control_mode: that of our controllers.
+        obs_mode: key of OBS_MODES. reward_mode: one of REWARD_MODES. control_mode: their name of it.
         render_mode: one of RENDER_MODES, or None.
         camera_size: (height, width) [px].
         backend: of `mjhab.make`.

@@ -14,6 +14,7 @@ from mjhab.compat.mshab.worlds.arguments import OBS_MODES, Arguments
 from mjhab.compat.mshab.worlds.draws import OwnDraw, PlanDraw
 from mjhab.compat.mshab.worlds.limits import ENDLESS, overrides_of
 from mjhab.config.profiles import unbound
+from mjhab.core.conventions.hand_turns import AS_MANISKILL
 from mjhab.core.errors import warn_once
 from mjhab.envs.catalog import make
 from mjhab.envs.loop import TaskLoop
@@ -101,7 +102,7 @@ def _options(arguments: Arguments, chosen: dict[str, Any]) -> dict[str, Any]:
         "backend": backend,
         "obs_mode": "+".join(OBS_MODES[arguments.obs_mode]) or "state",
         "camera_size": arguments.camera_size,
-        "control_mode": arguments.control_mode,
+        "control_mode": AS_MANISKILL.get(arguments.control_mode, arguments.control_mode),
         # The wrapper of actions holds the head still, or does not.
         "stationary": (),
         "reward_mode": _reward(arguments),

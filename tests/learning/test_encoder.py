@@ -16,6 +16,7 @@ from mjhab.core.conventions.names import Conventions
 from mjhab.core.errors import UsageError
 from mjhab.core.rotations import quat_rotate
 from mjhab.data.record.recorder import Recorder
+from mjhab.data.record.render import RenderRequest, render
 from mjhab.data.store.images import ImageFormat
 from mjhab.data.store.reading import open_shard
 from mjhab.data.store.shard import ShardWriter
@@ -25,9 +26,9 @@ from mjhab.learning.checkpoint import load_checkpoint
 from mjhab.learning.configs import PRESETS, InputConfig
 from mjhab.learning.demos import read_episode
 from mjhab.learning.observation.encoder import EncodedObs, ObservationEncoder
-from mjhab.learning.observation.parts import VECTOR_PARTS
+from mjhab.learning.observation.parts import IMAGE_PARTS, VECTOR_PARTS, image_parts
 from mjhab.learning.observation.spec import ObservationSpec, observation_spec_of
-from mjhab.learning.policy_kind import members
+from mjhab.learning.policy_kind import joined, members
 from mjhab.learning.reinforcement.agent_encoder import AgentEncoder
 from mjhab.learning.reinforcement.configs import PRESETS as AGENT_PRESETS
 from mjhab.learning.shipped_kind import shipped
@@ -57,8 +58,13 @@ def all_inputs() -> dict[str, InputConfig]:
         for name, spec in shipped().items()
     }
     found["everything"] = InputConfig(
-        history=3, base_velocity=True, target_in_hand=True, sentence=True
+        history=3,
+        base_velocity=True,
+        target_in_hand=True,
+        target_views=True,
+        sentence=True,
     )
+    found["views of the target alone"] = InputConfig(whole_views=False, target_views=True)
     small = {
         name: dataclasses.replace(inputs, image_size=SIZE if inputs.cameras else 0)
         for name, inputs in found.items()
@@ -142,7 +148,7 @@ def watched(tmp_path_factory: pytest.TempPathFactory) -> tuple[Watching, Path, A
         target=TARGET,
         home="builtin_m0_00",
         split="train",
-        obs_mode="depth",
+        obs_mode="depth+target_depth",
         camera_size=SIZE,
         num_envs=WORLDS,
         threads=1,
@@ -154,9 +160,12 @@ def watched(tmp_path_factory: pytest.TempPathFactory) -> tuple[Watching, Path, A
     }
     policy = Watching(env, specs)
     path = tmp_path_factory.mktemp("watched") / "a.h5"
-    with ShardWriter(path) as writer:
-        recorder = Recorder(writer, env, {"name": "random"}, images=ImageFormat())
-        rollout(env, policy, list(range(WORLDS)), 0, [recorder], max_steps=STEPS)
+    with ShardWriter(path) as writer, ShardWriter(path.with_name("bare.h5")) as bare:
+        recorders = [
+            Recorder(writer, env, {"name": "random"}, images=ImageFormat()),
+            Recorder(bare, env, {"name": "random"}),
+        ]
+        rollout(env, policy, list(range(WORLDS)), 0, recorders, max_steps=STEPS)
     return policy, path, env
 
 
@@ -181,7 +190,51 @@ def test_all_ways_to_an_observation_give_the_same_bits(
     assert chunks.vector.shape[1] == spec.inputs.history * spec.width
 
 
+def test_views_of_the_target_are_rendered_from_states_to_the_bit(
+    watched: tuple[Watching, Path, Any], tmp_path: Path
+) -> None:
+    policy, path, env = watched
+    out = tmp_path / "rendered.h5"
+    request = RenderRequest(path.with_name("bare.h5"), out, ImageFormat())
+    render(request, lambda _: env)
+    spec = policy.specs["views of the target alone"]
+    with open_shard(path) as drawn, open_shard(out) as rendered:
+        for name in drawn.names:
+            old, new = (
+                read_episode(shard.episode(name), spec, hold_steps=-1)
+                for shard in (drawn, rendered)
+            )
+            assert old.images.any()
+            np.testing.assert_array_equal(old.images, new.images)
+
+
+def test_a_shard_without_views_of_the_target_says_how_to_get_them(
+    watched: tuple[Watching, Path, Any],
+) -> None:
+    policy, path, _ = watched
+    spec = policy.specs["views of the target alone"]
+    with (
+        open_shard(path.with_name("bare.h5")) as shard,
+        pytest.raises(UsageError, match="--render target_depth --camera-size 16"),
+    ):
+        read_episode(next(iter(shard)), spec, hold_steps=-1)
+
+
+def test_cameras_without_any_view_are_refused() -> None:
+    with pytest.raises(UsageError, match=r"neither .*whole_views nor"):
+        InputConfig(whole_views=False)
+    assert InputConfig(cameras=(), image_size=0, whole_views=False).image_size == 0
+
+
+def test_policies_of_other_views_act_together() -> None:
+    whole = {"obs_mode": "depth", "camera_size": 32}
+    target = {"obs_mode": "depth+target_depth", "camera_size": 64}
+    assert joined("both", [("a", whole), ("b", target)]) == target
+
+
 def test_the_presets_use_every_part_but_those_that_a_recording_lacks() -> None:
+    pictured = {part for inputs in INPUTS.values() for part in image_parts(inputs)}
+    assert pictured == {*IMAGE_PARTS}
     used = {
         part.name
         for part in VECTOR_PARTS

@@ -91,7 +91,7 @@ class _Seen:
             self.space = self._image_space(space, smallest_side)
 
     def _image_space(self, space: spaces.Box, smallest_side: int) -> spaces.Box:
-        if self._output not in ("depth", "rgb"):
+        if self._output == "seg":
             raise fault(
                 "to_sb3",
                 f"{self.key!r} holds ids, which stable-baselines3 would take for amounts; it has networks for "

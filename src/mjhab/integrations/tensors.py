@@ -6,7 +6,7 @@ from typing import Any
 
 import torch
 
-from mjhab.envs.observations.modes import image_output
+from mjhab.envs.observations.modes import TARGET_DEPTH, image_output
 
 MM_PER_METRE = 1000.0
 BYTE = 255.0
@@ -18,7 +18,7 @@ def observation_tensors(obs: dict[str, Any]) -> dict[str, torch.Tensor]:
     Images are (W, channels, height, width); frames of `FrameStack` become channels, oldest first.
 
     Depth is ``1 - tanh(metres)``, as in `wrappers.normalize_depth`: 1 at the
-    lens and where nothing is hit, 0.24 at 1 m. Colours are in [0, 1]. Segmentation stays ids.
+    lens and where nothing is hit, 0.24 at 1 m. Colours and views of the target are in [0, 1]. Segmentation stays ids.
     """
     shown = {"state": torch.as_tensor(obs["state"]).float()}
     for key, value in obs.items():
@@ -34,4 +34,4 @@ def _scaled(image: torch.Tensor, output: str) -> torch.Tensor:
     if output == "depth":
         # Equal to 1 - tanh(m), but without the cancellation that would cost far depths their digits.
         return 2.0 / (torch.exp(image * (2.0 / MM_PER_METRE)) + 1.0)
-    return image / BYTE if output == "rgb" else image
+    return image / BYTE if output in ("rgb", TARGET_DEPTH) else image

@@ -36,6 +36,8 @@ class InputConfig:
 
     cameras, image_size: square depth images, by default of the cameras of the default robot, and their side [px]; no
     cameras for the state only.
+    whole_views, target_views: images of the cameras as they are, and views from their places that are turned to the
+    target of the active subtask and narrowed to it, of the same size, see `render.target_views`.
     history: number of observations, the current one included. stack_state: whether the history contains the state;
     False gives the images of all observations and the state of the current one.
     previous_action: the action executed in the previous control step.
@@ -59,10 +61,19 @@ class InputConfig:
     base_velocity: bool = False
     link_state: bool = False
     target_in_hand: bool = False
+    whole_views: bool = True
+    target_views: bool = False
     condition: bool = True
     sentence: bool = False
     normalize: bool = True
     shift: FromZero = 1
+
+    def __post_init__(self) -> None:
+        if self.cameras and not (self.whole_views or self.target_views):
+            raise UsageError(
+                f"inputs.cameras names {', '.join(self.cameras)}, and neither inputs.whole_views nor "
+                "inputs.target_views is on; switch one on, or give no cameras."
+            )
 
     def network_threads(self, threads: int) -> int:
         """Number of torch threads: ``threads`` with images, else 1.

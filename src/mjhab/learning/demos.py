@@ -38,7 +38,7 @@ class Demonstrations:
     """N control steps of several episodes, in sequence; numpy arrays, or after `on` tensors.
 
     vector (N, D) float32: inputs except images, see `ObservationSpec.entries`. images (N, C, H, W) uint8: see
-    `parts.DepthImages`. actions (N, A) float32: actions to imitate. first, last (N,): first and last row of the step's
+    `parts.IMAGE_PARTS`. actions (N, A) float32: actions to imitate. first, last (N,): first and last row of the step's
     episode. usable (M,): rows at which a training sample may start, numpy always. episodes: number of episodes.
     """
 

@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 AND = "+"
 SUFFIX = ".safetensors"
 CAMERA_SIZE = "camera_size"
+OBS_MODE = "obs_mode"
 
 
 def members(spec: str) -> list[Path]:
@@ -41,7 +42,7 @@ def members(spec: str) -> list[Path]:
 
 
 def joined(name: str, needed: Iterable[tuple[str, Mapping[str, Any]]]) -> dict[str, Any]:
-    """Options of an environment in which several students can act: the largest of their image sizes.
+    """Options of an environment in which several students can act: all of their images, in the largest size.
 
     Args:
         name: of them together, for the error.
@@ -55,6 +56,11 @@ def joined(name: str, needed: Iterable[tuple[str, Mapping[str, Any]]]) -> dict[s
         for option, value in wanted.items():
             kept = options.setdefault(option, value)
             if kept == value:
+                continue
+            if option == OBS_MODE:
+                # Each looks at its own images.
+                modes = [*str(kept).split("+"), *str(value).split("+")]
+                options[option] = "+".join(dict.fromkeys(modes))
                 continue
             square = isinstance(kept, int) and isinstance(value, int)
             if (

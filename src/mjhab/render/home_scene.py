@@ -156,7 +156,7 @@ def _add_standing(
             builder.add_world_geom(geom, pos, quat, seg, present, meshes)
 
 
-def _sane(body_pos: np.ndarray, body_mat: np.ndarray) -> np.ndarray:
+def is_sane(body_pos: np.ndarray, body_mat: np.ndarray) -> np.ndarray:
     """(W,) bool: worlds whose physics has not diverged, for poses (W, B, 3) and (W, B, 3, 3) of their bodies.
 
     The kernels have no bounds checks, so that poses of the others must not reach them.
@@ -219,10 +219,10 @@ class HomeRenderer:
             UsageError: unknown camera or output.
         """
         height, width = (size, size) if isinstance(size, int) else size
-        index = np.array([self._home_index[h] for h in homes])
-        fovy = self._mounts_of(cameras).fovy
+        index = self.home_numbers(homes)
+        fovy = self.fields_of_view(cameras)
         pos, mat = self.camera_poses(state, cameras)
-        sane = _sane(state.body_pos, state.body_mat)
+        sane = is_sane(state.body_pos, state.body_mat)
         rows = slice(None) if sane.all() else sane
         drawn = self.rasterizer.render(
             index[rows],
@@ -232,6 +232,14 @@ class HomeRenderer:
             outputs,
         )
         return {name: _placed(image, sane) for name, image in drawn.items()}
+
+    def home_numbers(self, homes: Sequence[str]) -> np.ndarray:
+        """Indices (n,) of homes in the render scene."""
+        return np.array([self._home_index[home] for home in homes], np.int64)
+
+    def fields_of_view(self, cameras: Sequence[str] | None = None) -> np.ndarray:
+        """Vertical fields of view (C,) [rad] of robot cameras, of all for None."""
+        return self._mounts_of(cameras).fovy
 
     def camera_poses(
         self, state: BodyPoses, cameras: Sequence[str] | None = None
@@ -297,11 +305,11 @@ class HomeRenderer:
         Returns:
             (n, height, width, 3) uint8 sRGB.
         """
-        sane = _sane(state.body_pos[list(worlds)], state.body_mat[list(worlds)])
+        sane = is_sane(state.body_pos[list(worlds)], state.body_mat[list(worlds)])
         drawn = [
             (home, world)
-            for home, world, is_sane in zip(homes, worlds, sane, strict=True)
-            if is_sane
+            for home, world, good in zip(homes, worlds, sane, strict=True)
+            if good
         ]
         if not drawn:
             return np.zeros((len(sane), height, width, 3), np.uint8)
@@ -310,7 +318,7 @@ class HomeRenderer:
             self._follow.look(home, state.robot_q[world, BASE]) for home, world in drawn
         ]
         images = self.rasterizer.render(
-            np.array([self._home_index[home] for home, _ in drawn], np.int64),
+            self.home_numbers([home for home, _ in drawn]),
             state.body_pos[rows],
             state.body_mat[rows],
             Cameras(

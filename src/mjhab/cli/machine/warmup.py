@@ -107,12 +107,12 @@ class _Work:
 
     def compile_rasterizer(self) -> None:
         """Draw one small picture of every kind in the first home."""
-        from mjhab.envs.observations.modes import CAMERA_OUTPUTS
+        from mjhab.envs.observations.modes import DRAWN_OUTPUTS
         from mjhab.render.home_scene import HomeRenderer
 
         first = self.layout.pack.homes[0].name
         renderer = HomeRenderer(self.simulator, 1)
-        renderer.robot_views(self.simulator.state(), [first], 16, CAMERA_OUTPUTS)
+        renderer.robot_views(self.simulator.state(), [first], 16, DRAWN_OUTPUTS)
 
     def compile_experts(self) -> None:
         from mjhab.experts.warmup import compile_kernels

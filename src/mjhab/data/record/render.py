@@ -14,6 +14,7 @@ from mjhab.core.errors import UsageError
 from mjhab.core.version import __version__
 from mjhab.data.record.batches import MakeEnv, batches
 from mjhab.data.record.provenance import describe_views
+from mjhab.data.record.targets import targets_in_base
 from mjhab.data.record.worlds import RecordedEnv
 from mjhab.data.select.query import Filter
 from mjhab.data.select.sets import check_outside
@@ -28,6 +29,8 @@ from mjhab.data.store.shard import ShardWriter
 
 FOLLOW = "follow"
 """Name of a camera that follows the robot from behind."""
+TARGET_DEPTH = "target_depth"
+"""Image output that needs the targets of the episode, see `targets.targets_in_base`."""
 _IMAGE = "sensor_data/"
 
 
@@ -172,20 +175,17 @@ def _draw(
     files: dict[str, list[bytes]] = {}
     rows: dict[str, list[np.ndarray]] = {}
     side = env.observer.size
+    target = targets_in_base(episode) if TARGET_DEPTH in env.observer.outputs else None
     for start in range(0, len(qpos), env.num_envs):
-        part = qpos[start : start + env.num_envs]
-        worlds = list(range(len(part)))
+        steps = np.minimum(np.arange(start, start + env.num_envs), len(qpos) - 1)
+        worlds = list(range(min(env.num_envs, len(qpos) - start)))
         # Images depend on positions only, so the worlds are set to the states and not stepped.
-        padded = np.concatenate(
-            [part, np.repeat(part[-1:], env.num_envs - len(part), axis=0)]
-        )
-        env.sim.reset(range(env.num_envs), [home] * env.num_envs, padded)
+        env.sim.reset(range(env.num_envs), [home] * env.num_envs, qpos[steps])
         state = env.sim.state()
-        drawn = (
-            env.observer.draw(state, [home] * env.num_envs)
-            if env.observer.outputs
-            else {}
-        )
+        drawn = {}
+        if env.observer.outputs:
+            seen = None if target is None else target[steps]
+            drawn = env.observer.draw(state, [home] * env.num_envs, seen)
         for w in worlds:
             for key, values in drawn.items():
                 if key.startswith(_IMAGE):

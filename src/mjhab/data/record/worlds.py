@@ -77,8 +77,10 @@ class Views(Protocol):
         """Observations (W, ...) of all worlds."""
         ...
 
-    def draw(self, state: Any, homes: Sequence[str], /) -> dict[str, np.ndarray]:
-        """Camera images of all worlds in ``state``, by observation key."""
+    def draw(
+        self, state: Any, homes: Sequence[str], target: np.ndarray | None, /
+    ) -> dict[str, np.ndarray]:
+        """Camera images of all worlds in ``state``, by observation key; ``target``: see `targets.targets_in_base`."""
         ...
 
 

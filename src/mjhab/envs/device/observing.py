@@ -6,9 +6,11 @@ from collections.abc import Sequence
 
 import torch
 
+from mjhab.core.errors import UsageError
 from mjhab.core.joints import BASE
 from mjhab.envs.observations.cameras import intrinsic_matrix
 from mjhab.envs.observations.entry import CameraInputs
+from mjhab.envs.observations.modes import TARGET_DEPTH
 from mjhab.envs.observations.state import state_observation
 from mjhab.envs.parts.observing import ObservedRows
 from mjhab.envs.parts.plan_tables import Focus
@@ -41,6 +43,12 @@ class DeviceObserver(ObservedRows):
         size: int | Sequence[int],
     ) -> None:
         super().__init__(sim.layout.robot, mode, cameras, size)
+        if TARGET_DEPTH in self.outputs:
+            raise UsageError(
+                f"obs_mode {mode!r}: backend 'warp' draws no {TARGET_DEPTH}; take backend 'cpu'.",
+                option="obs_mode",
+                given=mode,
+            )
         self._sensing = sensing
         self.renderer = None
         if self.outputs:

@@ -13,6 +13,7 @@ from mjhab.envs.observations.entry import CameraInputs, ObsEntry
 from mjhab.envs.observations.modes import (
     CAMERA_OUTPUTS,
     POINTCLOUD,
+    TARGET_DEPTH,
     camera_key,
     param_key,
 )
@@ -70,6 +71,14 @@ def _image_row(index: int, camera: str, output: str, size: tuple[int, int]) -> O
         return ObsEntry(
             key, (*size, 1), "mm", frame, compute, meaning, np.int16, 0, DEPTH_MAX
         )
+    if output == TARGET_DEPTH:
+        meaning = (
+            "view from the camera's place to the target of the active subtask: 128 at its distance, 255 and 1 a "
+            "quarter of it nearer and farther, 0 where the camera sees nothing"
+        )
+        unit = "1/508 of the distance"
+        view = "view of 0.5 rad, rows from the top"
+        return ObsEntry(key, (*size, 1), unit, view, compute, meaning, np.uint8, 0, 255)
     meaning = "segmentation id, see `segmentation_names`; 0 where nothing is hit"
     most = np.iinfo(np.int32).max
     return ObsEntry(key, (*size, 1), "id", frame, compute, meaning, np.int32, 0, most)
@@ -162,7 +171,7 @@ def _image(views: CameraInputs, index: int, output: str) -> Array:
     images = views.images[output]
     if output == "rgb":
         return images[:, index]
-    if output == "seg":
+    if output in ("seg", TARGET_DEPTH):
         return images[:, index, ..., None]
     return _millimetres(images, index)[..., None]
 

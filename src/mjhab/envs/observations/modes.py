@@ -13,7 +13,11 @@ from mjhab.robots.robot import Robot
 
 STATE_KEY = "state"
 PROPRIOCEPTION = "proprioception"
-CAMERA_OUTPUTS = ("depth", "rgb", "seg")
+DRAWN_OUTPUTS = ("depth", "rgb", "seg")
+"""Images of the robot's cameras that a renderer draws."""
+TARGET_DEPTH = "target_depth"
+"""Depth around the target of the active subtask relative to its distance, see `render.target_views`."""
+CAMERA_OUTPUTS = (*DRAWN_OUTPUTS, TARGET_DEPTH)
 POINTCLOUD = "pointcloud"
 OBS_MODES: dict[str, tuple[str, ...]] = {
     "state": (),
@@ -22,6 +26,7 @@ OBS_MODES: dict[str, tuple[str, ...]] = {
     "rgb": ("rgb",),
     "rgbd": ("depth", "rgb"),
     "seg": ("seg",),
+    TARGET_DEPTH: (TARGET_DEPTH,),
     POINTCLOUD: (POINTCLOUD,),
 }
 """Observation modes and the images that each adds to the state. Modes can be combined by "+", as in "rgbd+seg".
@@ -43,7 +48,7 @@ def camera_key(camera: str, output: str) -> str:
 
 
 def image_output(key: str) -> str:
-    """What kind of image a flat observation key names: "depth", "rgb" or "seg"; "" for everything else."""
+    """What kind of image a flat observation key names, one of CAMERA_OUTPUTS; "" for everything else."""
     folder, _, output = key.rpartition("/")
     is_image = folder.startswith("sensor_data/") and output in CAMERA_OUTPUTS
     return output if is_image else ""

@@ -14,8 +14,14 @@ BASE_MB = 500
 """Memory of an environment without worlds: libraries and compiled homes (measured by `mjhab bench env`)."""
 WORLD_MB = 1.5
 """Memory of one world with 30 objects: MjData, its batch rows and scratch (measured by `mjhab bench env`)."""
-PIXEL_BYTES = {"rgb": 3, "depth": 2, "seg": 2, "pointcloud": 12 + 3 + 2}
-"""Per pixel and camera of an observation: uint8 colour, int16 millimetres, int16 ids; xyz float32, colour, id."""
+PIXEL_BYTES = {
+    "rgb": 3,
+    "depth": 2,
+    "seg": 2,
+    "target_depth": 1,
+    "pointcloud": 12 + 3 + 2,
+}
+"""Per pixel and camera of observations: uint8 colour, int16 millimetres, int16 ids, bytes; xyz float32, colour, id."""
 RASTER_BYTES = 3 + 4 + 2
 """Additional bytes per pixel in the rasterizer: colour, depth float32, id."""
 OBS_COPIES = 2

@@ -8,18 +8,26 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mjhab.core.arrays import map_record
-from mjhab.core.joints import BASE
+from mjhab.core.errors import UsageError
+from mjhab.core.joints import BASE, BASE_X, BASE_Y, BASE_YAW
 from mjhab.envs.observations.cameras import camera_table, intrinsic_matrix
 from mjhab.envs.observations.entry import CameraInputs
 from mjhab.envs.observations.modes import (
-    CAMERA_OUTPUTS,
+    DRAWN_OUTPUTS,
     POINTCLOUD,
+    PROPRIOCEPTION,
+    TARGET_DEPTH,
     camera_names,
     image_size,
     mode_outputs,
     own_state_only,
 )
-from mjhab.envs.observations.state import state_observation, state_table
+from mjhab.envs.observations.state import (
+    GOAL_KEY,
+    OBJECT_KEY,
+    state_observation,
+    state_table,
+)
 from mjhab.envs.observations.table import describe, table_space
 from mjhab.envs.parts.plan_tables import Focus
 from mjhab.envs.parts.sensing import Sensing
@@ -27,7 +35,7 @@ from mjhab.robots.robot import Robot
 from mjhab.sim.mujoco.cpu import CpuSimulator
 from mjhab.sim.protocol import SimState
 from mjhab.tasks.signals import Signals
-from mjhab.tasks.subtasks.registry import SUBTASKS
+from mjhab.tasks.subtasks.registry import SUBTASKS, properties
 
 if TYPE_CHECKING:
     from mjhab.render.home_scene import HomeRenderer
@@ -44,7 +52,7 @@ class ObservedRows:
 
     Attributes:
         outputs: images and point clouds of the mode, see `mode_outputs`.
-        drawn: images that a renderer must draw for them.
+        drawn: images of the cameras that a renderer must draw for them.
         cameras: names of the cameras.
         size: (height, width) of the images [px].
         state_rows: rows of ``state``.
@@ -66,7 +74,18 @@ class ObservedRows:
         self.robot = robot
         self.outputs = mode_outputs(mode)
         # A point cloud is made of all three.
-        self.drawn = CAMERA_OUTPUTS if POINTCLOUD in self.outputs else self.outputs
+        self.drawn = tuple(
+            name
+            for name in DRAWN_OUTPUTS
+            if name in self.outputs or POINTCLOUD in self.outputs
+        )
+        if TARGET_DEPTH in self.outputs and own_state_only(mode):
+            raise UsageError(
+                f"obs_mode {mode!r}: {TARGET_DEPTH} looks at the target of the subtask, which "
+                f"{PROPRIOCEPTION} hides; leave out one of them.",
+                option="obs_mode",
+                given=mode,
+            )
         self.cameras = camera_names(
             robot, robot.camera_names if cameras is None else cameras
         )
@@ -184,25 +203,72 @@ class Observer(ObservedRows):
             self.state_rows, self._sensing.context(state, focus, signals)
         )
         if self.outputs:
+            target = None
+            if TARGET_DEPTH in self.outputs:
+                target = target_in_base(obs[OBJECT_KEY], obs[GOAL_KEY], focus.kind)
             if known is None or changed is None:
-                return obs | self.draw(state, homes)
+                return obs | self.draw(state, homes, target)
             worlds = np.flatnonzero(changed)
             drawn = self.draw(
                 map_record(lambda rows: rows[worlds], state),
                 [homes[w] for w in worlds.tolist()],
+                target if target is None else target[worlds],
             )
             for key, rows in drawn.items():
                 obs[key] = known[key].copy()
                 obs[key][worlds] = rows
         return obs
 
-    def draw(self, state: SimState, homes: Sequence[str]) -> dict[str, np.ndarray]:
-        """Draw the camera images of the worlds of ``state`` and compute the camera rows (W, ...) from them."""
+    def draw(
+        self, state: SimState, homes: Sequence[str], target: np.ndarray | None = None
+    ) -> dict[str, np.ndarray]:
+        """Draw the camera images of the worlds of ``state`` and compute the camera rows (W, ...) from them.
+
+        ``target``: for views of the target, see `target_in_base`.
+        """
         pos, mat = self.renderer.camera_poses(state, self.cameras)
-        images = self.renderer.robot_views(
-            state, homes, self.size, self.drawn, self.cameras
-        )
+        images: dict[str, np.ndarray] = {}
+        if self.drawn:
+            images = self.renderer.robot_views(
+                state, homes, self.size, self.drawn, self.cameras
+            )
+        if TARGET_DEPTH in self.outputs:
+            assert target is not None
+            place = _in_world(state.robot_q[:, BASE], self.robot.base_height, target)
+            from mjhab.render.target_views import target_views  # loads numba
+
+            images[TARGET_DEPTH] = target_views(
+                self.renderer, state, homes, place, self.size, self.cameras
+            )
         views = CameraInputs(
             self.robot, images, pos, mat, state.robot_q[:, BASE], self._intrinsic
         )
         return {entry.key: entry.compute(views) for entry in self.camera_rows}
+
+
+def target_in_base(
+    object_pose: np.ndarray, goal: np.ndarray, kind: np.ndarray
+) -> np.ndarray:
+    """Targets (W, 3) float32 of the hand in the active subtasks, in the frame of the base link [m].
+
+    Args:
+        object_pose, goal: (W, 7) and (W, 3) float32, as observed.
+        kind: (W,) int64 kinds of the subtasks; the last ones of finished plans.
+    """
+    (aims,) = properties(kind, "aims_at_goal")
+    return np.where(aims[:, None], goal, object_pose[:, :3])
+
+
+def _in_world(base: np.ndarray, height: float, points: np.ndarray) -> np.ndarray:
+    """Points (W, 3) of the frames of base links at (W, 3) x, y [m], yaw [rad] in the world."""
+    cos = np.cos(base[:, BASE_YAW])
+    sin = np.sin(base[:, BASE_YAW])
+    x, y, z = points.astype(np.float64).T
+    return np.stack(
+        [
+            base[:, BASE_X] + cos * x - sin * y,
+            base[:, BASE_Y] + sin * x + cos * y,
+            z + height,
+        ],
+        axis=1,
+    )

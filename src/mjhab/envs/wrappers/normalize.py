@@ -50,7 +50,7 @@ def denormalize_depth(
 
 
 class NormalizeImages(ObservationMap):
-    """Depth and RGB images as float32; segmentation and everything else pass unchanged.
+    """Depth and RGB images as float32; segmentation, views of the target and everything else pass unchanged.
 
     Works on the images of an environment, of FrameStack and of FlattenStatePixels.
 
@@ -85,7 +85,7 @@ class NormalizeImages(ObservationMap):
         self._depth = depth
         self._rgb = rgb
         self._clip = float(depth_clip)
-        curves = {"depth": depth, "rgb": rgb, "seg": "raw"}
+        curves = {"depth": depth, "rgb": rgb, "seg": "raw", "target_depth": "raw"}
         leaves = require_images(env, "NormalizeImages", flat=True)
         self._leaves = tuple(leaf for leaf in leaves if curves[leaf.output] != "raw")
         super().__init__(env, self._space(dict_space(env, "NormalizeImages")))

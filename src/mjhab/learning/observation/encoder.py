@@ -11,18 +11,18 @@ from mjhab.core.conventions.names import Conventions
 from mjhab.core.names import kind_of
 from mjhab.learning.observation.depth import pooled
 from mjhab.learning.observation.parts import (
-    DEPTH_IMAGES,
     IMAGE_KEY_PREFIX,
     InputSpec,
     StepSource,
     SubtaskConditioning,
-    aims_at_goal,
     code_of,
     conditioning_parts,
+    image_parts,
     parts_of,
     width_of,
 )
 from mjhab.learning.observation.state import observed_state
+from mjhab.tasks.subtasks.registry import SUBTASKS
 
 if TYPE_CHECKING:
     from mjhab.envs.parts.worlds import PolicyWorlds
@@ -45,10 +45,13 @@ def encode(source: StepSource, spec: InputSpec) -> EncodedObs:
     parts = [part.encode(source, spec) for part in parts_of(spec.inputs)]
     xp = namespace(parts[0])
     vector = xp.concat(parts, axis=1)
-    if DEPTH_IMAGES.keys(spec.inputs):
-        images = DEPTH_IMAGES.encode(source, spec)
-    else:
-        images = xp.astype(zeros((len(vector), 0, 0, 0), vector), xp.uint8)
+    channels = [
+        channel
+        for part in image_parts(spec.inputs)
+        for channel in part.encode(source, spec)
+    ]
+    none = xp.astype(zeros((len(vector), 0, 0, 0), vector), xp.uint8)
+    images = xp.stack(channels, axis=1) if channels else none
     return EncodedObs(xp.astype(vector, xp.float32, copy=False), images)
 
 
@@ -193,7 +196,7 @@ class ObservationEncoder:
             code_of(subtask, self.spec), self._conditioning
         )
         if self.spec.inputs.target_in_hand:
-            self._aims[world] = aims_at_goal(subtask.kind)
+            self._aims[world] = SUBTASKS[subtask.kind].aims_at_goal
 
     def _sentence(
         self,
@@ -244,8 +247,8 @@ class LiveSource:
     def aims_at_goal(self) -> Array:
         return self.aims
 
-    def depth(self, camera: str) -> Array:
-        return self.obs[f"{IMAGE_KEY_PREFIX}{camera}/depth"][..., 0]
+    def image(self, camera: str, output: str) -> Array:
+        return self.obs[f"{IMAGE_KEY_PREFIX}{camera}/{output}"][..., 0]
 
 
 def _described(env: Any, world: int) -> Mapping[str, Any]:

@@ -24,7 +24,6 @@ from mjhab.core.rotations import quat_rotate_inv
 from mjhab.learning.configs import InputConfig
 from mjhab.learning.observation.depth import nearness
 from mjhab.learning.observation.sentences import SENTENCE_WIDTH, encode_sentence
-from mjhab.tasks.subtasks.registry import SUBTASKS
 
 Entry = tuple[str, int]
 """Name and width of a section of a vector."""
@@ -93,11 +92,11 @@ class StepSource(Protocol):
         ...
 
     def aims_at_goal(self) -> Array:
-        """(N, 1) bool: the target in the active subtask is the observed goal, not the object, see `aims_at_goal`."""
+        """(N, 1) bool: see `SubtaskSpec.aims_at_goal`, of the active subtask."""
         ...
 
-    def depth(self, camera: str) -> Array:
-        """Depth images (N, height, width) int16 [mm]; 0 where nothing is seen."""
+    def image(self, camera: str, output: str) -> Array:
+        """Images (N, height, width) of an output of the environment."""
         ...
 
 
@@ -275,21 +274,61 @@ class Sentence(ConditioningPart):
         return encode_sentence(subtask.sentence)
 
 
-class DepthImages:
-    """Depth images of the cameras, one channel each, as nearness: 255 at the lens, 0 far away (mshab/agents/bc)."""
+class ImagePart(ABC):
+    """A kind of images that a policy sees, one channel of bytes of every camera."""
 
-    unit = "255 (1 - tanh(depth / 1 m))"
+    name: str
+    """Field of `InputConfig` that switches the part on."""
+    output: str
+    """Image output of the environment, see `envs.observations.modes`."""
+    unit: str
+
+    def used(self, inputs: InputConfig) -> bool:
+        """Whether a policy with these inputs has the part."""
+        return bool(inputs.cameras and inputs.image_size and getattr(inputs, self.name))
 
     def keys(self, inputs: InputConfig) -> tuple[str, ...]:
         """Keys of the images in the observation of an environment, one per channel."""
-        if not inputs.image_size:
-            return ()
-        return tuple(f"{IMAGE_KEY_PREFIX}{camera}/depth" for camera in inputs.cameras)
+        return tuple(
+            f"{IMAGE_KEY_PREFIX}{camera}/{self.output}" for camera in inputs.cameras
+        )
 
-    def encode(self, source: StepSource, spec: InputSpec) -> Array:
-        """Images (N, cameras, height, width) uint8."""
-        channels = [nearness(source.depth(camera)) for camera in spec.inputs.cameras]
-        return namespace(channels[0]).stack(channels, axis=1)
+    @abstractmethod
+    def byte(self, image: Array) -> Array:
+        """Images (N, height, width) of the environment as bytes."""
+
+    def encode(self, source: StepSource, spec: InputSpec) -> list[Array]:
+        """Images (N, height, width) uint8 of every camera."""
+        return [
+            self.byte(source.image(camera, self.output)) for camera in spec.inputs.cameras
+        ]
+
+
+class WholeViews(ImagePart):
+    """Depth images of the cameras as nearness: 255 at the lens, 0 far away (mshab/agents/bc)."""
+
+    name = "whole_views"
+    output = "depth"
+    unit = "255 (1 - tanh(depth / 1 m))"
+
+    def byte(self, image: Array) -> Array:
+        return nearness(image)
+
+
+class TargetViews(ImagePart):
+    """Views of the target of the active subtask, see `render.target_views`.
+
+    Place and direction of a view are functions of the state, and a camera of the robot sees its pixels, so it is no
+    privileged information.
+    """
+
+    name = "target_views"
+    output = "target_depth"
+    unit = "128 at the target's distance, 1 and 255 a quarter of it farther and nearer, 0 unseen"
+
+    def byte(self, image: Array) -> Array:
+        xp = namespace(image)
+        return xp.astype(image, xp.uint8, copy=False)
 
 
 VECTOR_PARTS: tuple[VectorPart, ...] = (
@@ -302,12 +341,23 @@ VECTOR_PARTS: tuple[VectorPart, ...] = (
     Sentence(),
 )
 """The parts of a vector in their order, which checkpoints depend on: the normalized ones first."""
-DEPTH_IMAGES = DepthImages()
+IMAGE_PARTS: tuple[ImagePart, ...] = (WholeViews(), TargetViews())
+"""The parts of the images in the order of their channels, which checkpoints depend on."""
 
 
 def parts_of(inputs: InputConfig) -> tuple[VectorPart, ...]:
     """The parts of the vector of a policy with these inputs."""
     return tuple(part for part in VECTOR_PARTS if part.used(inputs))
+
+
+def image_parts(inputs: InputConfig) -> tuple[ImagePart, ...]:
+    """The parts of the images of a policy with these inputs."""
+    return tuple(part for part in IMAGE_PARTS if part.used(inputs))
+
+
+def image_keys(inputs: InputConfig) -> tuple[str, ...]:
+    """Keys of its images in the observation of an environment, one per channel."""
+    return tuple(key for part in image_parts(inputs) for key in part.keys(inputs))
 
 
 def conditioning_parts(inputs: InputConfig) -> tuple[ConditioningPart, ...]:
@@ -328,11 +378,6 @@ def code_of(subtask: SubtaskConditioning, spec: InputSpec) -> np.ndarray:
     """
     codes = [part.code(subtask, spec) for part in conditioning_parts(spec.inputs)]
     return np.concatenate([np.zeros(0, np.float32), *codes])
-
-
-def aims_at_goal(kind: str) -> bool:
-    """Whether the hand's target in a kind of subtask is the observed goal: a handle, or where the object goes."""
-    return "goal" in SUBTASKS[kind].shows
 
 
 def _section(spec: InputSpec, key: str) -> slice:

@@ -9,15 +9,15 @@ import numpy as np
 from mjhab.core.errors import UsageError
 from mjhab.core.joints import BASE
 from mjhab.core.names import kind_of
+from mjhab.data.record.targets import active_entries, aims_at_goal
 from mjhab.data.store.images import decode
 from mjhab.data.store.reading import RecordedEpisode
 from mjhab.learning.observation.encoder import EncodedObs, encode
 from mjhab.learning.observation.parts import (
-    DEPTH_IMAGES,
     InputSpec,
     SubtaskConditioning,
-    aims_at_goal,
     code_of,
+    image_parts,
 )
 from mjhab.learning.observation.state import recorded_state
 from mjhab.tasks.instructions import without_teleport_mark
@@ -96,34 +96,27 @@ class RecordedSource:
             )
             for entry, sentence in zip(self._episode.record.plan, sentences, strict=True)
         ]
-        return np.stack(codes)[self._pointers()]
+        return np.stack(codes)[active_entries(self._episode)[: self._steps]]
 
     def aims_at_goal(self) -> np.ndarray:
-        aims = [aims_at_goal(entry.kind) for entry in self._episode.record.plan]
-        return np.array(aims)[self._pointers(), None]
+        return aims_at_goal(self._episode)[: self._steps, None]
 
-    def _pointers(self) -> np.ndarray:
-        """Index of the active subtask in every step; the last one once the plan is finished."""
-        last = len(self._episode.record.plan) - 1
-        return np.minimum(self._episode.array("subtasks/active")[: self._steps], last)
-
-    def depth(self, camera: str) -> np.ndarray:
-        """Depth images of a camera.
+    def image(self, camera: str, output: str) -> np.ndarray:
+        """Images of a camera.
 
         Raises:
             UsageError: the episode has none, or in another size; the message says how to get them.
         """
         episode = self._episode
-        if (camera, "depth") not in episode.images:
+        if (camera, output) not in episode.images:
             raise _no_images(
-                episode, self._spec, f"has no depth images of {camera}", None
+                episode, self._spec, f"has no {output} images of {camera}", None
             )
-        files = episode.array(f"images/{camera}/depth/bytes").tobytes()
-        ends = episode.array(f"images/{camera}/depth/ends").tolist()
+        files = episode.array(f"images/{camera}/{output}/bytes").tobytes()
+        ends = episode.array(f"images/{camera}/{output}/ends").tolist()
         starts = [0, *ends]
         frames = [
-            decode(files[starts[t] : ends[t]], "depth")[..., 0]
-            for t in range(self._steps)
+            decode(files[starts[t] : ends[t]], output)[..., 0] for t in range(self._steps)
         ]
         height, width = frames[0].shape
         size = self._spec.inputs.image_size
@@ -131,7 +124,7 @@ class RecordedSource:
             raise _no_images(
                 episode,
                 self._spec,
-                f"has depth images of {width}x{height} px",
+                f"has {output} images of {width}x{height} px",
                 (height, width),
             )
         return np.stack(frames)
@@ -143,8 +136,8 @@ def check_inputs(episode: RecordedEpisode, spec: InputSpec) -> None:
     Raises:
         UsageError: as `encode_episode`.
     """
-    if DEPTH_IMAGES.keys(spec.inputs):
-        DEPTH_IMAGES.encode(RecordedSource(episode, spec, 1), spec)
+    for part in image_parts(spec.inputs):
+        part.encode(RecordedSource(episode, spec, 1), spec)
     instructions_of(episode, spec)
 
 
@@ -177,10 +170,11 @@ def _no_images(
     """Make the error for images that are missing (``have`` None) or of another size (height, width) [px]."""
     size = spec.inputs.image_size
     cameras = " ".join(spec.inputs.cameras)
+    outputs = "+".join(part.output for part in image_parts(spec.inputs))
     refusal = f"episode {episode.name} of {episode.shard.path} {found}; the preset needs {size}x{size} px. "
     if not lacks_states(episode):
         return UsageError(
-            f"{refusal}Render them from the recorded states: mjhab replay {episode.shard.path} --render depth "
+            f"{refusal}Render them from the recorded states: mjhab replay {episode.shard.path} --render {outputs} "
             f"--camera-size {size} --cameras {cameras} --out FILE.h5"
         )
     refusal += "It was imported from data without states, so its images cannot be rendered again; "

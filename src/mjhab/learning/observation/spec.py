@@ -12,9 +12,10 @@ from mjhab.core.errors import UsageError, shown
 from mjhab.core.typed.options import read_record
 from mjhab.learning.configs import InputConfig
 from mjhab.learning.observation.parts import (
-    DEPTH_IMAGES,
     Entry,
     conditioning_parts,
+    image_keys,
+    image_parts,
     parts_of,
     width_of,
 )
@@ -102,7 +103,7 @@ class ObservationSpec:
     @property
     def image_keys(self) -> tuple[str, ...]:
         """Keys of the images in the observation."""
-        return DEPTH_IMAGES.keys(self.inputs)
+        return image_keys(self.inputs)
 
     def to_plain(self) -> dict[str, Any]:
         """The layout as JSON data, without the inputs, which are part of the student's config."""
@@ -205,7 +206,7 @@ def image_options(inputs: InputConfig) -> dict[str, Any]:
     if not inputs.cameras:
         return {}
     return {
-        "obs_mode": "depth",
+        "obs_mode": "+".join(part.output for part in image_parts(inputs)),
         "cameras": inputs.cameras,
         "camera_size": inputs.image_size,
     }

@@ -45,7 +45,7 @@ CUMULATIVE_FORCE_SCALE = 5000.0
 class AgentObs:
     """Observations of W worlds.
 
-    vector (W, history * V) float32. images (W, history * cameras, height, width) uint8: see `parts.DepthImages`.
+    vector (W, history * V) float32. images (W, history * cameras, height, width) uint8: see `parts.IMAGE_PARTS`.
     privileged (W, P) float32: see PRIVILEGED.
     """
 

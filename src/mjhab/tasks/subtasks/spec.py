@@ -347,6 +347,11 @@ class SubtaskSpec:
         return self.jointed and "closed" in self.conditions
 
     @property
+    def aims_at_goal(self) -> bool:
+        """Whether the hand's target is the observed goal: a handle, or where the object goes; else the object."""
+        return "goal" in self.shows
+
+    @property
     def brings_to_goal(self) -> bool:
         """Whether a success leaves its object at its goal."""
         return "at_goal" in self.conditions

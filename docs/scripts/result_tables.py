@@ -11,6 +11,7 @@ import functools
 
 import experts_tables
 import gpu_tables
+import parity_tables
 import policies_tables
 from result_files import Table, fill, origin, pages, read, table
 
@@ -26,6 +27,7 @@ def tables() -> dict[str, Table]:
     """Every table by its name."""
     made: dict[str, Table] = {}
     made |= experts_tables.TABLES | policies_tables.TABLES | gpu_tables.TABLES
+    made |= parity_tables.TABLES
     return made | {name: functools.partial(study, name) for name in read("studies")}
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import json
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, cast
 
 import h5py
@@ -12,6 +13,7 @@ import numpy as np
 import pytest
 
 from mjhab.core.errors import UsageError
+from mjhab.data.export import maniskill
 from mjhab.data.export.conventions import CONVENTIONS
 from mjhab.data.imports.ms_hab import import_ms_hab
 from mjhab.data.select.until import Until
@@ -69,6 +71,18 @@ def test_layout_and_contents(source: Path, tmp_path: Path) -> None:
         by_id = {each["episode_id"]: each for each in said["episodes"]}
         for number, episode in enumerate(episodes(source / "picks.h5")):
             check(file[f"traj_{number}"], episode, number, by_id[number])
+
+
+def test_turns_of_the_hand_are_those_of_maniskills_mode() -> None:
+    actions = np.random.default_rng(0).uniform(-0.5, 0.5, (4, 12)).astype(np.float32)
+    for mode in ("pd_joint_delta_pos", "pd_ee_delta_pose", "pd_ee_delta_pose_maniskill"):
+        run = SimpleNamespace(config={"env": {"control_mode": mode}})
+        episode: Any = SimpleNamespace(run=run)
+        turned = maniskill._turned_hand(episode, actions)
+        changed = np.flatnonzero(np.abs(turned - actions).max(axis=0) > 0.01).tolist()
+        assert changed == ([3, 4, 5] if mode == "pd_ee_delta_pose" else [])
+        if changed:
+            np.testing.assert_allclose(turned[:, 3:6], -actions[:, 3:6], atol=0.02)
 
 
 def test_maniskills_reader_can_keep_the_successful_ones(tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ DEMO_OUT := runs/demo
 DEMO_STUDENT_OUT := runs/demo-student
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo demo-student test test-unit test-generate test-sentences test-lerobot test-lerobot-env test-vla-eval test-ray test-sb3 test-skrl test-maniskill test-rsl-rl test-rllib test-browser release-check docs check check-static format bench gpu-report clean distclean test-docs test-panda test-torchrl gpu-train docs-media
+.PHONY: help setup demo demo-student test test-unit test-generate test-sentences test-lerobot test-lerobot-env test-vla-eval test-ray test-sb3 test-skrl test-maniskill test-mshab test-rsl-rl test-rllib test-browser release-check docs check check-static format bench gpu-report clean distclean test-docs test-panda test-torchrl gpu-train docs-media
 
 help:  ## show this list
 	@grep -hE '^[a-z0-9-]+:.*## ' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-16s %s\n", $$1, $$2}'
@@ -60,6 +60,11 @@ GENERATE_OUT := runs/generate
 EPISODES ?= 50
 test-generate: $(VENV)/.dev  ## generate EPISODES=50 with two kills -9, resume; check all, replay all bit by bit
 	$(BIN)/python tests/generate/check_generate.py $(GENERATE_OUT) $(EPISODES)
+
+MSHAB_OUT := runs/mshab
+test-mshab: $(VENV)/.dev  ## run the scripts of a checkout of MS-HAB, MSHAB=FOLDER, unchanged (needs its libraries: omegaconf dacite wandb tensorboardX diffusers)
+	@test -d "$(MSHAB)/mshab" || { echo "MSHAB=FOLDER must be a checkout of MS-HAB"; exit 2; }
+	$(BIN)/python tests/compat/originals.py $(MSHAB) $(MSHAB_OUT)
 
 SENTENCES_OUT := runs/sentences.json
 PACKS ?= builtin

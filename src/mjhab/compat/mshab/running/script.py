@@ -7,7 +7,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from mjhab.compat.mshab.running.habits import keep_old_habits
+from mjhab.compat.mshab.running.habits import keep_old_habits, stay_on_the_cpu
 from mjhab.compat.mshab.running.hook import install
 from mjhab.core.errors import UsageError, warn_once
 
@@ -39,20 +39,20 @@ def checkout_of(script: Path) -> Path | None:
 
 def run_script(script: Path, arguments: Sequence[str]) -> None:
     """Run a file as ``__main__``."""
-    _prepare(script.resolve().parent, checkout_of(script))
+    prepare(script.resolve().parent, checkout_of(script))
     sys.argv = [str(script), *arguments]
     runpy.run_path(str(script), run_name="__main__")
 
 
 def run_module(name: str, arguments: Sequence[str]) -> None:
     """Run a module, such as ``mshab.train_sac``, as ``__main__``; it is looked for in the present folder, too."""
-    _prepare(Path.cwd(), None)
+    prepare(Path.cwd(), None)
     sys.argv = [name, *arguments]
     runpy.run_module(name, run_name="__main__", alter_sys=True)
 
 
-def _prepare(folder: Path, checkout: Path | None) -> None:
-    """Let imports find what lies beside the script, and answer the rest."""
+def prepare(folder: Path, checkout: Path | None) -> None:
+    """Let imports find what lies in the folder of a script and in the checkout, and answer the rest."""
     # `python -m` put the present folder there.
     sys.path[0] = str(folder)
     if checkout is not None:
@@ -63,3 +63,4 @@ def _prepare(folder: Path, checkout: Path | None) -> None:
         )
         return
     keep_old_habits()
+    stay_on_the_cpu()

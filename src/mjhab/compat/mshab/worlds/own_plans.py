@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from mjhab.compat.mshab.files.matching import object_id
 from mjhab.compat.mshab.files.plans import TaskPlan
 from mjhab.compat.mshab.files.subtasks import (
     ArticulationConfig,
@@ -23,12 +24,6 @@ HANDLES = {
     "kitchen_counter/drawer3": (7, 5),
 }
 """Numbers of the link and of its joint in MS-HAB's plans, of the parts that its tasks open."""
-
-
-def told_name(name: str) -> str:
-    """Name of an object there: ``024_bowl_:0003`` is ``024_bowl-3``."""
-    kind, _, number = name.partition("_:")
-    return f"{kind}-{int(number)}" if number else name
 
 
 def own_plan(worlds: TaskLoop, world: int) -> TaskPlan:
@@ -56,16 +51,16 @@ def _told(subtask: OwnSubtask) -> Subtask:
     behind = _furniture(subtask.link) if subtask.link else None
     kind = subtask.name
     if kind == "pick":
-        return PickSubtask(told_name(subtask.obj), behind)
+        return PickSubtask(object_id(subtask.obj), behind)
     if kind == "place":
         return PlaceSubtask(
-            told_name(subtask.obj),
+            object_id(subtask.obj),
             goal_pos=list(subtask.goal_pos),
             articulation_config=behind,
         )
     if kind == "navigate":
         return NavigateSubtask(
-            told_name(subtask.obj) or None,
+            object_id(subtask.obj) if subtask.obj else None,
             list(subtask.goal_pos),
             articulation_config=behind,
         )
@@ -73,7 +68,7 @@ def _told(subtask: OwnSubtask) -> Subtask:
     fields = vars(behind)
     if kind == "open":
         return OpenSubtask(
-            **fields, obj_id=told_name(subtask.obj), articulation_relative_handle_pos=None
+            **fields, obj_id=object_id(subtask.obj), articulation_relative_handle_pos=None
         )
     return CloseSubtask(**fields, articulation_relative_handle_pos=None)
 

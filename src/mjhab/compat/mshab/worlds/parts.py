@@ -119,10 +119,12 @@ class SceneParts:
     @property
     def init_config_idxs(self) -> list[int]:
         """(W,) index of the arrangement of objects among those of all plans."""
+        # Plans of our own generator become known when they are looked at.
+        plans = self.task_plans
         names = sorted(
             {plan.init_config_name or "" for plan in self.base_task_plans.values()}
         )
-        return [names.index(plan.init_config_name or "") for plan in self.task_plans]
+        return [names.index(plan.init_config_name or "") for plan in plans]
 
     @property
     def spawn_selection_idxs(self) -> list[int | None]:

@@ -8,8 +8,8 @@ from typing import Any
 
 import torch
 
+from mjhab.compat.mshab.files.matching import object_id
 from mjhab.compat.mshab.worlds.observing import as_tensor
-from mjhab.compat.mshab.worlds.own_plans import told_name
 from mjhab.compat.mshab.worlds.pose import Pose
 from mjhab.core.arrays import namespace
 from mjhab.core.conventions.changes import to_scan_axes
@@ -167,7 +167,7 @@ class ObjectView(View):
         names = self._worlds.layout.object_names
         slots = as_tensor(self._worlds.tables.obj)[:, self.subtask_num].tolist()
         return [
-            Entity(f"env-{w}_{told_name(names[slot])}") for w, slot in enumerate(slots)
+            Entity(f"env-{w}_{object_id(names[slot])}") for w, slot in enumerate(slots)
         ]
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import gymnasium
 import numpy as np
@@ -47,6 +47,9 @@ class RecordEpisode(ForwardingWrapper):
     Raises:
         UsageError: several worlds are filmed without max_steps_per_video, or chains are to be labelled.
     """
+
+    WRITES_INFO: ClassVar[bool] = False
+    """Whether a trajectory has `info`, too."""
 
     def __init__(
         self,
@@ -238,9 +241,13 @@ class RecordEpisode(ForwardingWrapper):
     ) -> None:
         arrays = _stacked(steps, world, self._parts)
         about = described_episode(self.base_env, world, arrays, self.label_episode)
+        if self._is_wanted(arrays, about):
+            file.add(arrays, about, with_info=self.WRITES_INFO)
+
+    def _is_wanted(self, arrays: Mapping[str, Any], about: Mapping[str, Any]) -> bool:
+        """Whether an episode is written; ``arrays`` and ``about`` as in `TrajectoryFile.add`."""
         valid = self.valid_episode_labels
-        if valid is None or about.get("label") in valid:
-            file.add(arrays, about)
+        return valid is None or about.get("label") in valid
 
     def flush_video(
         self, name: str | None = None, suffix: str = "", save: bool = True, **_: Any

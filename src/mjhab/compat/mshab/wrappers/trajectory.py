@@ -57,13 +57,16 @@ class TrajectoryFile:
             **about,
         }
 
-    def add(self, arrays: Mapping[str, Any], about: Mapping[str, Any]) -> None:
+    def add(
+        self, arrays: Mapping[str, Any], about: Mapping[str, Any], *, with_info: bool
+    ) -> None:
         """Append a trajectory.
 
         Args:
             arrays: "obs" and perhaps "state" with T+1 rows, in nested dicts; "action", "terminated", "truncated",
                 perhaps "reward", and "info" with T rows.
             about: its entry in the JSON file.
+            with_info: whether "info" is written, as a group of that name.
         """
         number = len(self.episodes)
         group = self._file.create_group(f"{TRAJECTORY}{number}", track_order=True)
@@ -73,6 +76,8 @@ class TrajectoryFile:
             group[name] = arrays[name].astype(bool)
         for name in ("success", "fail"):
             group[name] = arrays["info"][name].astype(bool)
+        if with_info:
+            _put(group, "info", arrays["info"])
         if "state" in arrays:
             _put(group, "env_states", arrays["state"])
         if "reward" in arrays:

@@ -1,0 +1,55 @@
+"""Trajectories of whole tasks."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, ClassVar
+
+import gymnasium
+
+from mjhab.compat.mshab.wrappers.record import RecordEpisode
+from mjhab.core.errors import UsageError, unknown_name
+
+FILTERS = ("any", "success", "min_success_subtasks")
+
+
+class RecordEpisodeSequentialTask(RecordEpisode):
+    """`RecordEpisode` for chains: trajectories have `info`, too, and are chosen by what was achieved.
+
+    Args:
+        env, output_dir: as in `RecordEpisode`.
+        demo_filter: "any", "success" (the whole plan in some step), or "min_success_subtasks".
+        min_success_subtasks: finished subtasks that the last filter asks for.
+        **options: as in `RecordEpisode`.
+
+    Raises:
+        UsageError: the environment is of one subtask, an unknown filter, or a filter without its number.
+    """
+
+    WRITES_INFO: ClassVar[bool] = True
+
+    def __init__(
+        self,
+        env: gymnasium.Env,
+        output_dir: str | Path,
+        demo_filter: str = "any",
+        min_success_subtasks: int | None = None,
+        **options: Any,
+    ) -> None:
+        if env.unwrapped.arguments.subtask:  # type: ignore[attr-defined]
+            raise UsageError(f"{type(self).__name__} is for whole tasks.")
+        if demo_filter not in FILTERS:
+            raise unknown_name("demo_filter", demo_filter, FILTERS)
+        if demo_filter == FILTERS[2] and min_success_subtasks is None:
+            raise UsageError("demo_filter 'min_success_subtasks' needs that number.")
+        super().__init__(env, output_dir, **options)
+        self.demo_filter = demo_filter
+        self.min_success_subtasks = min_success_subtasks
+
+    def _is_wanted(self, arrays: Mapping[str, Any], about: Mapping[str, Any]) -> bool:
+        if self.demo_filter == "success":
+            return bool(about["success_once"])
+        if self.demo_filter == "any":
+            return True
+        return int(arrays["info"]["subtask"].max()) >= (self.min_success_subtasks or 0)

@@ -26,9 +26,14 @@ from result_files import (
     write,
 )
 
-PACKS = {"experts-builtin": "built-in", "experts-replica-cad": "ReplicaCAD"}
+PACKS = {"experts-builtin": "built-in", "experts-replica-cad": "ReplicaCAD (no walls)"}
 """File under docs/results to the name of its homes in the pages."""
-PROFILE_PACKS = {"builtin": "built-in", "replica_cad": "ReplicaCAD"}
+PROFILE_PACKS = {
+    ("experts-ms-hab", "builtin"): "built-in",
+    ("experts-ms-hab", "replica_cad"): "ReplicaCAD (no walls)",
+    ("experts-walls", "replica_cad"): "ReplicaCAD (stand-in walls)",
+}
+"""Files of profile ``ms_hab`` and packs in them, to the name of the homes."""
 
 
 def key(row: Row) -> tuple[str, ...]:
@@ -108,39 +113,50 @@ def _figures(row: Row | None) -> list[str]:
 
 def chain_table() -> str:
     """One line per pack, household task and navigation."""
+    return _chains(PACKS)
+
+
+def profile_chain_table() -> str:
+    """Whole tasks under ``--profile ms_hab``, in homes with walls."""
+    return _chains({"experts-walls": "ReplicaCAD (stand-in walls)"})
+
+
+def _chains(packs: dict[str, str]) -> str:
     head = ("homes", "task", "navigation", "n", "whole task %", "95 %", "ask %")
     lines = []
-    for name, pack in PACKS.items():
+    for name, pack in packs.items():
         for row in read(name)["chains"]:
             line = [pack, row["task"], row["navigate"], str(row["episodes"])]
             line += [percent(row["success_once"]), interval(row["interval"])]
             shares = " ".join(f"{share:.2f}" for share in row["progressive"])
             lines.append([*line, percent(row["asked"]), shares])
     told = "share of episodes that did the first 1, 2, ... subtasks"
-    return table((*head, told), lines) + source(*PACKS)
+    return table((*head, told), lines) + source(*packs)
 
 
 def profile_table() -> str:
     """The ten rows of the paper's Table 1 under ``--profile ms_hab``; Pick and Place over all their objects."""
     head = ["homes", "task", "subtask", "target", "n", "once %", "95 %", "at end %"]
-    results = read("experts-ms-hab")
-    rows = [row for row in results["groups"] if row["subtask"] in ("pick", "place")]
-    rows += [row for row in results["rows"] if row["subtask"] in ("open", "close")]
     lines = []
-    for row in sorted(
-        rows, key=lambda row: (list(PROFILE_PACKS).index(row["pack"]), place_of(row))
-    ):
-        line = [PROFILE_PACKS[row["pack"]], row["task"], row["subtask"], row["target"]]
-        line += [str(row["episodes"]), percent(row["success_once"], 1)]
-        line += [interval(row["interval"]), percent(row["success_at_end"], 1)]
-        lines.append([*line, percent(row["paper"], 1)])
-    return table((*head, "paper RL-Per %"), lines) + source("experts-ms-hab")
+    for (file, pack), homes in PROFILE_PACKS.items():
+        results = read(file)
+        rows = [row for row in results["groups"] if row["subtask"] in ("pick", "place")]
+        rows += [row for row in results["rows"] if row["subtask"] in ("open", "close")]
+        rows = [row for row in rows if row["pack"] == pack]
+        for row in sorted(rows, key=place_of):
+            line = [homes, row["task"], row["subtask"], row["target"]]
+            line += [str(row["episodes"]), percent(row["success_once"], 1)]
+            line += [interval(row["interval"]), percent(row["success_at_end"], 1)]
+            lines.append([*line, percent(row["paper"], 1)])
+    files = dict.fromkeys(file for file, _ in PROFILE_PACKS)
+    return table((*head, "paper RL-Per %"), lines) + source(*files)
 
 
 TABLES = {
     "experts": subtask_table,
     "experts_summary": summary_table,
     "experts_chains": chain_table,
+    "experts_chains_ms_hab": profile_chain_table,
     "experts_ms_hab": profile_table,
 }
 

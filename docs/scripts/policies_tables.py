@@ -155,5 +155,6 @@ TABLES = {
     "policies_chains": chain_table,
     "trainings": lambda: student_table("builtin"),
     "trainings_replica_cad": lambda: student_table("replica_cad"),
+    "trainings_walls": lambda: student_table("replica_cad?stage=stand-in"),
     "trainings_seeds": seed_table,
 }

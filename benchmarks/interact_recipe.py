@@ -16,10 +16,10 @@ from pathlib import Path
 import numpy as np
 
 from mjhab.bench.interact.scene import (
-    CONTROL_MODE,
     SHOULDER_X,
     START_QPOS,
     STEPS,
+    STIFF_BODY_MODE,
     SURFACE_HEIGHT,
     InteractScene,
     interact_scene,
@@ -83,7 +83,7 @@ def way_points(start: np.ndarray) -> np.ndarray:
 
 def record(scene: InteractScene) -> np.ndarray:
     """(200, 7) arm actions, rounded, as a closed loop on the CPU simulator finds them."""
-    controller = make_controller(CONTROL_MODE, 1)
+    controller = make_controller(STIFF_BODY_MODE, 1)
     sim = CpuSimulator(scene.layout, 1, 1, controller.drives)
     sim.reset([0], [scene.home], scene.qpos[None])
     arm = list(scene.layout.robot.arm_columns)

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from mjhab.learning.checkpoint import load_checkpoint, save_compact
-from mjhab.learning.policy_kind import SUFFIX
+from mjhab.learning.policy_kind import CHECKPOINT_SUFFIX
 from mjhab.learning.shipped_kind import FOLDER, file_name
 
 ALL_ROWS = "all_rows"
@@ -27,7 +27,7 @@ def ship(source: Path, rows: Sequence[str]) -> None:
     name = file_name(**scenes[0]) if len(scenes) == 1 else ALL_ROWS
     about = load_checkpoint(source).about
     told = [{**about["scene"], **scene} for scene in scenes]
-    place = FOLDER / f"{name}{SUFFIX}"
+    place = FOLDER / f"{name}{CHECKPOINT_SUFFIX}"
     save_compact(source, place, {**about, "scene": told[0], "also": told[1:]})
     place.chmod(0o644)
     print(f"{place}: {place.stat().st_size / 1e6:.1f} MB")

@@ -11,7 +11,7 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 
 from mjhab.core.seeding import stream
-from mjhab.data.store.schema import CHECKS
+from mjhab.data.store.schema import STORED_CHECKS
 from mjhab.robots.fetch.robot import ROBOT
 from mjhab.tasks.labelling.tracker import SubtaskTracker
 from mjhab.tasks.signals import Signals
@@ -197,7 +197,7 @@ class FakeEnv:
     def _signals(self) -> Signals:
         bits = np.array([w.bits for w in self.worlds])
         force = np.array([w.force for w in self.worlds])
-        checks = {name: bits[:, k] for k, name in enumerate(CHECKS)}
+        checks = {name: bits[:, k] for k, name in enumerate(STORED_CHECKS)}
         kind = np.zeros(self.num_envs, np.int64)
         return Signals(
             **checks,
@@ -314,17 +314,17 @@ class _World:
 
     def fresh(self) -> np.ndarray:
         """(K,) checks at the start of a subtask: nothing achieved, no force spent."""
-        bits = self.rng.random(len(CHECKS)) < 0.3
-        bits[CHECKS.index("success")] = False
-        bits[CHECKS.index("force_ok")] = True
+        bits = self.rng.random(len(STORED_CHECKS)) < 0.3
+        bits[STORED_CHECKS.index("success")] = False
+        bits[STORED_CHECKS.index("force_ok")] = True
         return bits
 
     def step(self, action: np.ndarray) -> None:
         self.t += 1
-        chance = np.full(len(CHECKS), 0.12)
-        chance[CHECKS.index("success")] = 0.04
-        chance[CHECKS.index("force_ok")] = 0.01
-        self.bits = self.bits ^ (self.rng.random(len(CHECKS)) < chance)
+        chance = np.full(len(STORED_CHECKS), 0.12)
+        chance[STORED_CHECKS.index("success")] = 0.04
+        chance[STORED_CHECKS.index("force_ok")] = 0.01
+        self.bits = self.bits ^ (self.rng.random(len(STORED_CHECKS)) < chance)
         self.qpos[:5] += self.rng.normal(size=5) + 0.1 * float(action.sum())
         self.force = float(self.rng.exponential(100.0 * (1 + self.index)))
 

@@ -20,7 +20,7 @@ from mjhab.evaluation.score.actions import StartKeeper
 from mjhab.evaluation.score.check import check
 from mjhab.evaluation.score.leaderboard import leaderboard
 from mjhab.evaluation.score.manifest import DRAWER, ScoreHomes, ScoreRow, manifest
-from mjhab.evaluation.score.published import PUBLISHED
+from mjhab.evaluation.score.published import PUBLISHED_RESULTS
 from mjhab.evaluation.score.result import (
     ScoreResult,
     digest_of,
@@ -178,7 +178,7 @@ def test_scores_of_other_homes_are_told_apart(
     assert "## Track: ms_hab_7\n" in page
     assert "## Track: ms_hab_7, homes of replica_cad (stage: stand-in)\n" in page
     assert page.count("What differs") == 2
-    for one in PUBLISHED["ms_hab_7"]:
+    for one in PUBLISHED_RESULTS["ms_hab_7"]:
         (line, again) = [text for text in page.splitlines() if one.policy in text]
         assert line == again and f"| {one.mean:.1f} |" in line
 

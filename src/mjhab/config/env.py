@@ -13,7 +13,7 @@ from typing import Annotated, Any, ClassVar
 
 from mjhab.config.profiles import (
     DEFAULT_PROFILE,
-    FREE,
+    FREE_OPTIONS,
     SPAWN_RULES,
     Profile,
     profile_named,
@@ -272,14 +272,14 @@ class EnvConfig:
                 object.__setattr__(self, name, value)
             elif (
                 profile.binding
-                and name not in FREE
+                and name not in FREE_OPTIONS
                 and (tuple(given) if isinstance(given, list) else given) != value
             ):
                 raise _contradiction(profile, name, value, given)
         if profile.binding:
             for name, value in self.overrides.items():
                 limit = name.partition(".")[2]
-                if limit in _LIMITS and limit not in FREE:
+                if limit in _LIMITS and limit not in FREE_OPTIONS:
                     raise _contradiction(profile, name, "that of the paper", value)
 
     def _check_subtask(self, task: TaskSpec, subtask: SubtaskSpec) -> None:

@@ -21,7 +21,7 @@ OF_PAPER = 0
 """Horizon that stands for those of the `SubtaskSpec`: 200 control steps, Navigate 500, or 1,000 in training."""
 
 
-FREE = ("horizon", "frame_stack")
+FREE_OPTIONS = ("horizon", "frame_stack")
 """Options that a binding profile leaves free: the original itself evaluates and trains with several values of them
 (200 control steps of its evaluations, one frame of behaviour cloning, two of its diffusion policy)."""
 
@@ -30,7 +30,8 @@ FREE = ("horizon", "frame_stack")
 class Profile:
     """Values of the options of `config.EnvConfig` that have the same names.
 
-    name: what ``profile`` is set to. binding: an option that is given with another value is an error, but for FREE.
+    name: what ``profile`` is set to. binding: an option that is given with another value is an error, but for
+    FREE_OPTIONS.
     stillness: see `TaskConfig.stillness`.
     spawn_rule: "front_box": Pick and Place at a link begin in the area in front of it, Place with the arm at rest;
         "published": anywhere within 2 m, Place with the arm of a successful Pick, see `starts` and `carry_postures`.

@@ -10,7 +10,7 @@ import numpy as np
 
 from mjhab.core.arrays import Array, Table, cast, constant, namespace, norm3
 
-IDENTITY = Table(((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)))
+IDENTITY_MATRIX = Table(((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)))
 """The rotation matrix (3, 3) that turns nothing."""
 
 _LOCKED = 1e-7
@@ -236,4 +236,4 @@ def mat_from_rotation_vector(vector: Array) -> Array:
     safe = xp.maximum(angle, constant((1e-9,), angle))
     first = xp.where(angle > 1e-6, xp.sin(angle) / safe, 1.0)
     second = xp.where(angle > 1e-6, (1 - xp.cos(angle)) / safe**2, 0.5)
-    return constant(IDENTITY, vector) + first * skew + second * (skew @ skew)
+    return constant(IDENTITY_MATRIX, vector) + first * skew + second * (skew @ skew)

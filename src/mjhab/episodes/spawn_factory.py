@@ -18,7 +18,7 @@ from mjhab.episodes.episode import Episode
 from mjhab.episodes.generator import EpisodeMaker
 from mjhab.episodes.source import open_setting
 from mjhab.episodes.spawn_sets import (
-    SUFFIX,
+    SPAWNS_SUFFIX,
     SpawnRecipe,
     SpawnRow,
     SpawnSet,
@@ -128,8 +128,8 @@ def make_set(
         UsageError: ``out`` exists or does not end with ``.npz``, there are partial files of another recipe, or the set
             would be too large to be read.
     """
-    if out.suffix != SUFFIX:
-        raise UsageError(f"a spawn set ends with {SUFFIX}, got {out}.")
+    if out.suffix != SPAWNS_SUFFIX:
+        raise UsageError(f"a spawn set ends with {SPAWNS_SUFFIX}, got {out}.")
     if out.exists() and not overwrite:
         raise UsageError(f"{out} exists; add --overwrite, or choose another --out.")
     factory = SpawnFactory(recipe)
@@ -142,7 +142,7 @@ def make_set(
     done = fallbacks = 0
     with ThreadPoolExecutor(threads) as pool:
         for first in range(0, recipe.count, CHUNK):
-            path = folder / f"{first:08d}{SUFFIX}"
+            path = folder / f"{first:08d}{SPAWNS_SUFFIX}"
             if not path.exists():
                 rows = list(
                     pool.map(factory.row, range(first, min(first + CHUNK, recipe.count)))
@@ -178,7 +178,7 @@ def _resume(folder: Path, header: dict[str, Any], overwrite: bool) -> None:
 
 def _clear(folder: Path) -> None:
     """Delete the partial files in a folder, and the folder itself if it is then empty."""
-    for file in (*folder.glob(f"[0-9]*{SUFFIX}"), folder / "header.json"):
+    for file in (*folder.glob(f"[0-9]*{SPAWNS_SUFFIX}"), folder / "header.json"):
         file.unlink(missing_ok=True)
     if not any(folder.iterdir()):
         folder.rmdir()

@@ -59,7 +59,7 @@ _HEADER = {
     "digest": str,
 }
 """Fields of a header and their types."""
-SUFFIX = ".npz"
+SPAWNS_SUFFIX = ".npz"
 _COLUMNS = (
     "home",
     "qpos",

@@ -28,8 +28,8 @@ if TYPE_CHECKING:
     from mjhab.learning.checkpoint import Checkpoint
 
 AND = "+"
-SUFFIX = ".safetensors"
-CAMERA_SIZE = "camera_size"
+CHECKPOINT_SUFFIX = ".safetensors"
+CAMERA_SIZE_OPTION = "camera_size"
 OBS_MODE = "obs_mode"
 
 
@@ -37,8 +37,8 @@ def members(spec: str) -> list[Path]:
     """Files of the checkpoints that a specification names."""
     if is_file(Path(spec)):
         return [Path(spec)]
-    *first, last = spec.split(f"{SUFFIX}{AND}")
-    return [*(Path(part + SUFFIX) for part in first), Path(last)]
+    *first, last = spec.split(f"{CHECKPOINT_SUFFIX}{AND}")
+    return [*(Path(part + CHECKPOINT_SUFFIX) for part in first), Path(last)]
 
 
 def joined(name: str, needed: Iterable[tuple[str, Mapping[str, Any]]]) -> dict[str, Any]:
@@ -64,7 +64,7 @@ def joined(name: str, needed: Iterable[tuple[str, Mapping[str, Any]]]) -> dict[s
                 continue
             square = isinstance(kept, int) and isinstance(value, int)
             if (
-                option == CAMERA_SIZE
+                option == CAMERA_SIZE_OPTION
                 and square
                 and max(kept, value) % min(kept, value) == 0
             ):

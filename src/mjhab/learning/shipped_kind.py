@@ -24,7 +24,7 @@ from mjhab.evaluation.resolve import (
     open_policy,
 )
 from mjhab.learning.by_subtask import Entry, PoliciesTogether
-from mjhab.learning.policy_kind import AND, SUFFIX, CheckpointFiles
+from mjhab.learning.policy_kind import AND, CHECKPOINT_SUFFIX, CheckpointFiles
 from mjhab.learning.require import require_learn
 from mjhab.rollout.policy import Policy, RolloutEnv
 from mjhab.tasks.household.registry import TASKS
@@ -43,11 +43,13 @@ def shipped() -> dict[str, str]:
     together = read_json_object(index) if index.is_file() else {}
     listed = {member for members in together.values() for member in members}
     alone = {
-        path.name.removesuffix(SUFFIX) for path in FOLDER.glob(f"*{SUFFIX}")
+        path.name.removesuffix(CHECKPOINT_SUFFIX)
+        for path in FOLDER.glob(f"*{CHECKPOINT_SUFFIX}")
     } - listed
     return {
         name: AND.join(
-            str(FOLDER / f"{member}{SUFFIX}") for member in together.get(name, [name])
+            str(FOLDER / f"{member}{CHECKPOINT_SUFFIX}")
+            for member in together.get(name, [name])
         )
         for name in sorted(alone | set(together))
     }

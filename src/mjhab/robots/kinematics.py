@@ -26,7 +26,7 @@ from mjhab.core.arrays import (
     zeros,
 )
 from mjhab.core.errors import UsageError, unknown_name, wrong_value
-from mjhab.core.rotations import IDENTITY
+from mjhab.core.rotations import IDENTITY_MATRIX
 
 
 class TreeRow(Protocol):
@@ -233,7 +233,7 @@ class Chain:
             (count, n_links, 3, 3), q
         )  # [n, link, axis, xyz]: rows are the link axes
         pos[:, 0] = constant((0.0, 0.0, self.root_height), q)
-        axes[:, 0] = constant(IDENTITY, q)
+        axes[:, 0] = constant(IDENTITY_MATRIX, q)
         cos = xp.cos(q)
         sin = xp.sin(q)
         for i, joint in enumerate(self.joints):

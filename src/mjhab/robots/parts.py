@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 from mjhab.scenes.spec import IDENTITY, Geom, Quat, Vec3
 
-FREE = (-math.inf, math.inf)
+UNBOUNDED = (-math.inf, math.inf)
 """Limits of a joint without limits [rad]."""
 
 
@@ -36,7 +36,7 @@ class TreeLink:
     origin: Vec3
     axis: Vec3 = (0.0, 0.0, 0.0)
     slide: bool = False
-    limits: tuple[float, float] = FREE
+    limits: tuple[float, float] = UNBOUNDED
     quat: Quat = IDENTITY
 
 

@@ -26,7 +26,7 @@ from mjhab.rollout.policy import RolloutEnv
 from mjhab.rollout.records import EpisodeRecord
 from mjhab.rollout.sinks import Sink
 
-EPISODES = "episodes.jsonl"
+EPISODES_FILE = "episodes.jsonl"
 FILMS = "films"
 
 
@@ -37,7 +37,7 @@ class EvaluationFolder(RunFolder):
         UsageError: when it is opened; also where a record in the middle of the file is damaged or of another run.
     """
 
-    OWN = frozenset({CONFIG, EPISODES, SUMMARY, REPORT, FILMS})
+    OWN = frozenset({CONFIG, EPISODES_FILE, SUMMARY, REPORT, FILMS})
     FREE_KEYS = frozenset({"episodes", "films", "worlds", "threads"})
 
     def __init__(self, path: Path, config: Mapping[str, Any], lock: WriteLock) -> None:
@@ -46,7 +46,7 @@ class EvaluationFolder(RunFolder):
         self._records: dict[int, EpisodeRecord] = {}
 
     def _take_up(self) -> None:
-        records = _take_records(self.path / EPISODES, self._hash)
+        records = _take_records(self.path / EPISODES_FILE, self._hash)
         self._records = {record.index: record for record in records}
 
     def _has_work(self) -> bool:
@@ -73,7 +73,7 @@ class EvaluationFolder(RunFolder):
     def add(self, record: EpisodeRecord) -> None:
         """Append a record to episodes.jsonl, with the hash of the config, and flush it to the system."""
         record = dataclasses.replace(record, config_hash=self._hash)
-        path = self.path / EPISODES
+        path = self.path / EPISODES_FILE
         line = json.dumps(record.to_dict(), separators=(",", ":")) + "\n"
         with naming_file(path), path.open("a", encoding="utf-8") as file:
             file.write(line)
@@ -123,7 +123,7 @@ def read_records(folder: Path) -> list[EpisodeRecord]:
         UsageError: a record that is not the last one is damaged, belongs to another config than the folder's, or names
             none (in a folder of an older version, no record names one); or an episode is there twice.
     """
-    path = folder / EPISODES
+    path = folder / EPISODES_FILE
     kept, _ = _read_file(path)
     hashed = any(record.config_hash for record in kept)
     _check_records(kept, _stored_hash(folder / CONFIG) if hashed else "", path)

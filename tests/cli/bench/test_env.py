@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from mjhab.bench.environments.stages import STAGES
+from mjhab.bench.environments.stages import STEP_STAGES
 from mjhab.cli.main import main
 from mjhab.cli.worlds.envs import EnvsDescribeSpec, description
 from mjhab.envs.catalog import env_ids
@@ -101,7 +101,7 @@ def test_bench_env_splits_the_time_of_a_step(capsys: pytest.CaptureFixture[str])
         *"bench env --env mjhab/CloseSubtaskTrain-v1 --obs depth".split(),
         *small,
     )
-    assert code == 0 and list(found["stages"]) == list(STAGES)
+    assert code == 0 and list(found["stages"]) == list(STEP_STAGES)
     for stage in ("physics", "measure", "reward", "render", "reset"):
         assert found["stages"][stage] > 0, stage
     # Which of them is faster is a matter of what else the machine does.

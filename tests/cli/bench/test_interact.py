@@ -17,9 +17,9 @@ from benchmarks import interact_recipe
 from mjhab.bench.environments.memory_sampler import MemorySampler
 from mjhab.bench.interact import run as bench
 from mjhab.bench.interact.scene import (
-    CONTROL_MODE,
     OBJECTS,
     STEPS,
+    STIFF_BODY_MODE,
     InteractScene,
     interact_actions,
     interact_scene,
@@ -74,7 +74,7 @@ def test_start_is_that_of_the_paper_before_a_surface(scene: InteractScene) -> No
 def test_commands_are_those_of_the_controller(scene: InteractScene) -> None:
     actions = interact_actions(scene)[:20]
     offset, moves = bench.affine_commands(actions)
-    controller = make_controller(CONTROL_MODE, 1)
+    controller = make_controller(STIFF_BODY_MODE, 1)
     rng = np.random.default_rng(0)
     for row, action in zip(offset, actions, strict=True):
         q = rng.uniform(-1.0, 1.0, (1, 15))

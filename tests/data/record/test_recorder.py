@@ -18,7 +18,7 @@ from mjhab.data.store.episode_data import EpisodeData, from_bytes, to_bytes
 from mjhab.data.store.images import ImageFormat, decode, encode
 from mjhab.data.store.places import episodes
 from mjhab.data.store.reading import open_shard
-from mjhab.data.store.schema import CHECKS
+from mjhab.data.store.schema import STORED_CHECKS
 from mjhab.data.store.shard import ShardWriter
 from mjhab.layout.compile import compile_home
 from mjhab.layout.layout import Layout
@@ -221,7 +221,11 @@ def test_states_and_actions_that_do_not_fit_are_refused(tmp_path: Path) -> None:
         ),
         ("actions", arrays["actions"][1:], r"actions has \d+ rows"),
         ("actions", arrays["actions"].astype(float), "actions is float64, not float32"),
-        ("signals/checks", arrays["signals/checks"][:, 2:], f"not {len(CHECKS)} columns"),
+        (
+            "signals/checks",
+            arrays["signals/checks"][:, 2:],
+            f"not {len(STORED_CHECKS)} columns",
+        ),
         ("subtasks/step", arrays["subtasks/step"] + 1, "must begin with 0"),
         ("obs/state", None, "obs/state is missing"),
         ("states/forces", arrays["actions"], "not part of the schema"),

@@ -17,7 +17,7 @@ from mjhab.data.store.checking import check
 from mjhab.data.store.episode_data import EpisodeData, RunInfo
 from mjhab.data.store.places import episodes
 from mjhab.data.store.reading import open_shard
-from mjhab.data.store.schema import CHECKS, DamagedError
+from mjhab.data.store.schema import STORED_CHECKS, DamagedError
 from mjhab.data.store.shard import ShardWriter
 from mjhab.tasks.plan import SubtaskKind
 from mjhab.tasks.subtasks.registry import spec_of
@@ -115,8 +115,8 @@ def test_a_shard_without_ee_contact_is_read_with_touch_in_its_place(
     tmp_path: Path,
 ) -> None:
     record(tmp_path / "new.h5", range(6))
-    old = len(CHECKS) - 1
-    assert CHECKS[old] == "ee_contact"
+    old = len(STORED_CHECKS) - 1
+    assert STORED_CHECKS[old] == "ee_contact"
     with ShardWriter(tmp_path / "old.h5") as writer:
         for episode in episodes(tmp_path / "new.h5"):
             arrays = {
@@ -126,7 +126,7 @@ def test_a_shard_without_ee_contact_is_read_with_touch_in_its_place(
                 path: arrays[path][:, :old]
                 for path in ("signals/checks", "subtasks/checks")
             }
-            columns = {"signals/checks": CHECKS[:old]}
+            columns = {"signals/checks": STORED_CHECKS[:old]}
             writer.append(
                 EpisodeData(
                     episode.record, episode.run, "m", "cut", arrays | cut, columns

@@ -23,9 +23,9 @@ from mjhab.data.store.places import episodes, shard_paths
 from mjhab.data.store.reading import RecordedEpisode, open_shard
 from mjhab.data.store.schema import (
     ATTRIBUTES,
-    CHECKS,
     FIELDS,
     FORCES,
+    STORED_CHECKS,
     VERSION,
     DamagedError,
     field_of,
@@ -293,8 +293,8 @@ def test_doubled_episodes_are_found(tmp_path: Path) -> None:
 
 
 def test_the_schema_names_what_labels_need() -> None:
-    assert set(History.__dataclass_fields__) <= set(CHECKS)
-    assert {*CHECKS, *FORCES, "kind"} == set(Signals.__dataclass_fields__)
+    assert set(History.__dataclass_fields__) <= set(STORED_CHECKS)
+    assert {*STORED_CHECKS, *FORCES, "kind"} == set(Signals.__dataclass_fields__)
     for path in ("obs/agent/qpos", "images/fetch_head/rgb/ends", "states/qpos"):
         assert field_of(path) is not None
     assert field_of("images/fetch_head/ends") is None and field_of("extra") is None

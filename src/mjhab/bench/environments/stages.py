@@ -11,7 +11,16 @@ from mjhab.core.arithmetic.sums import ordered_sum
 if TYPE_CHECKING:
     from mjhab.envs.loop import TaskLoop
 
-STAGES = ("physics", "measure", "reward", "labels", "render", "observe", "reset", "other")
+STEP_STAGES = (
+    "physics",
+    "measure",
+    "reward",
+    "labels",
+    "render",
+    "observe",
+    "reset",
+    "other",
+)
 
 
 def watch_env(watch: Stopwatch, env: TaskLoop) -> None:
@@ -24,11 +33,11 @@ def watch_env(watch: Stopwatch, env: TaskLoop) -> None:
 def stage_seconds(
     watch: Stopwatch, total: float, num_envs: int
 ) -> tuple[dict[str, float], float]:
-    """Stop a watch: seconds of each of STAGES, of ``total`` [s], and the time of a world's one reset [ms]."""
+    """Stop a watch: seconds of each of STEP_STAGES, of ``total`` [s], and the time of a world's one reset [ms]."""
     seconds = watch.stop()
     seconds["other"] = total - ordered_sum(seconds.values())
     reset_ms = 1000 * seconds.get("reset", 0.0) / num_envs
-    return {stage: round(seconds.get(stage, 0.0), 5) for stage in STAGES}, round(
+    return {stage: round(seconds.get(stage, 0.0), 5) for stage in STEP_STAGES}, round(
         reset_ms, 3
     )
 

@@ -15,9 +15,9 @@ from scipy.stats import t as student
 
 from mjhab.bench.environments.memory_sampler import MemorySampler
 from mjhab.bench.interact.scene import (
-    CONTROL_MODE,
     OBJECTS,
     STEPS,
+    STIFF_BODY_MODE,
     InteractScene,
     interact_actions,
     interact_scene,
@@ -33,7 +33,7 @@ from mjhab.reports.interact import interact_page
 from mjhab.robots.controllers import make_controller
 from mjhab.sim.backends import open_simulator, resolve
 
-CAMERA_SIZE = 128
+IMAGE_SIDE_PX = 128
 OUTPUTS = ("rgb", "depth")
 WORLD_MB = 0.34
 """A world on a device without pictures: 0.14 MB of arrays, 0.17 MB that a substep takes on its way (sums for 3 and for
@@ -87,9 +87,9 @@ class InteractBench:
         if backend == "warp":
             # Pictures are looked at, not kept as observations.
             mode = "rgbd" if render else "state"
-            pictures = WorldPictures(mode, CAMERA_SIZE)
+            pictures = WorldPictures(mode, IMAGE_SIDE_PX)
             check_device_memory(worlds, pictures, device, copies=0, world_mb=WORLD_MB)
-        controller = make_controller(CONTROL_MODE, 1)
+        controller = make_controller(STIFF_BODY_MODE, 1)
         self.sim: Any = open_simulator(
             backend,
             scene.layout,
@@ -119,14 +119,14 @@ class InteractBench:
             return WarpCameras(
                 self.sim,
                 self.scene.layout.robot.camera_names,
-                (CAMERA_SIZE, CAMERA_SIZE),
+                (IMAGE_SIDE_PX, IMAGE_SIDE_PX),
                 OUTPUTS,
             ).draw
         from mjhab.render.home_scene import HomeRenderer
 
         renderer = HomeRenderer(self.sim, threads)
         return lambda: renderer.robot_views(
-            self.sim.state(), self._homes, CAMERA_SIZE, OUTPUTS
+            self.sim.state(), self._homes, IMAGE_SIDE_PX, OUTPUTS
         )
 
     def reset(self) -> None:
@@ -175,11 +175,11 @@ class InteractBench:
 
 
 def affine_commands(actions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Commands for actions (T, A) of CONTROL_MODE with the base at rest: ``offset[t] + moves * robot_q``.
+    """Commands for actions (T, A) of STIFF_BODY_MODE with the base at rest: ``offset[t] + moves * robot_q``.
 
     The arm moves from where it is measured, head and torso are told where to be: offset (T, J), moves (J,).
     """
-    controller = make_controller(CONTROL_MODE, 1)
+    controller = make_controller(STIFF_BODY_MODE, 1)
 
     def command(action: np.ndarray, robot_q: np.ndarray) -> np.ndarray:
         return controller.command(action[None], robot_q)[0]

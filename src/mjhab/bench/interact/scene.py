@@ -67,7 +67,7 @@ DEPTH = 0.36
 HALF_WIDTH = 0.42
 """Least depth and half-width of the surface [m]."""
 STEPS = 200
-CONTROL_MODE = "pd_joint_delta_pos_stiff_body"
+STIFF_BODY_MODE = "pd_joint_delta_pos_stiff_body"
 """As the original: what the arm does must not move head and torso."""
 ACTION_FILE = "interact_actions.csv"
 
@@ -87,7 +87,7 @@ class InteractScene:
 
 
 def interact_actions(scene: InteractScene) -> np.ndarray:
-    """(200, A) float32 actions of CONTROL_MODE: the recorded arm, head and torso held, all others zero."""
+    """(200, A) float32 actions of STIFF_BODY_MODE: the recorded arm, head and torso held, all others zero."""
     text = files("mjhab.bench.interact").joinpath(ACTION_FILE).read_text(encoding="utf-8")
     arm = np.loadtxt(
         text.splitlines(), delimiter=",", comments="#", dtype=np.float32, ndmin=2

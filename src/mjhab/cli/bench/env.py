@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from mjhab.bench.environments.env import measure
-from mjhab.bench.environments.stages import STAGES
+from mjhab.bench.environments.stages import STEP_STAGES
 from mjhab.bench.specs import EnvBenchSpec
 from mjhab.cli.output import Listing, report
 
@@ -40,7 +40,7 @@ def _tables(
     title = f"{spec.id}, {spec.asked.obs_mode}, {point['worlds']} worlds, {backend}"
     steps = point["profiled_steps"]
     stages = [
-        (stage, round(1000 * point["stages"][stage] / steps, 3)) for stage in STAGES
+        (stage, round(1000 * point["stages"][stage] / steps, 3)) for stage in STEP_STAGES
     ]
     return (
         Listing(title, ("what", "value"), rows),

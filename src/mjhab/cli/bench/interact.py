@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from mjhab.bench.interact.run import CAMERA_SIZE, measure_interact, write_results
+from mjhab.bench.interact.run import IMAGE_SIDE_PX, measure_interact, write_results
 from mjhab.bench.specs import InteractSpec
 from mjhab.cli.output import Listing, report
 from mjhab.core.files.outputs import check_folder
@@ -25,7 +25,9 @@ def bench_interact(spec: InteractSpec, json: bool) -> int:
     check_folder(spec.out)
     found, runs, pictures = measure_interact(spec)
     write_results(spec.out, found, runs, pictures)
-    kind = "no cameras" if spec.no_render else f"2 x {CAMERA_SIZE} x {CAMERA_SIZE} RGB-D"
+    kind = (
+        "no cameras" if spec.no_render else f"2 x {IMAGE_SIDE_PX} x {IMAGE_SIDE_PX} RGB-D"
+    )
     rows = [
         [len(p[k]) if k == "moved" else p[k] for k in _HEADS] for p in found["points"]
     ]

@@ -139,14 +139,14 @@ def make_from_chains(spec: ChainStartsSpec, json: bool) -> int:
 
 def list_sets(spec: SpawnsListSpec, json: bool) -> int:
     """Print a table of the sets at a path."""
-    from mjhab.episodes.spawn_sets import SUFFIX, SpawnSet
+    from mjhab.episodes.spawn_sets import SPAWNS_SUFFIX, SpawnSet
 
     path = spec.path
     if not path.exists():
         raise UsageError(
-            f"{path} does not exist; `mjhab spawns make --out FILE{SUFFIX}` makes a set."
+            f"{path} does not exist; `mjhab spawns make --out FILE{SPAWNS_SUFFIX}` makes a set."
         )
-    files = sorted(path.glob(f"[!.]*{SUFFIX}")) if path.is_dir() else [path]
+    files = sorted(path.glob(f"[!.]*{SPAWNS_SUFFIX}")) if path.is_dir() else [path]
     found = []
     damaged = []
     for file in files:

@@ -14,7 +14,7 @@ from mjhab.core.files.reading import parse_json, read_bytes, reason
 from mjhab.core.files.run_folder import RunFolder
 from mjhab.data.record.quotas import Outcome
 from mjhab.data.record.workers import WorkerSpec
-from mjhab.data.store.episode_files import CONFIG
+from mjhab.data.store.episode_files import GENERATION_CONFIG
 from mjhab.data.store.places import entries
 
 TRIED = "tried.jsonl"
@@ -23,7 +23,7 @@ TRIED = "tried.jsonl"
 class DataFolder(RunFolder):
     """The folder of a data set that is generated."""
 
-    CONFIG_FILE = CONFIG
+    CONFIG_FILE = GENERATION_CONFIG
     WORK = ("*.h5", TRIED)
 
 

@@ -13,7 +13,7 @@ from mjhab.data.record.provenance import describe_run, model_hash
 from mjhab.data.record.worlds import RecordedEnv
 from mjhab.data.store.episode_data import EpisodeData, RunInfo, last_label, to_bytes
 from mjhab.data.store.images import ImageFormat, encode, stored_frames
-from mjhab.data.store.schema import CHECKS, FORCES
+from mjhab.data.store.schema import FORCES, STORED_CHECKS
 from mjhab.rollout.records import EpisodeRecord
 from mjhab.rollout.sinks import Sink, StepView
 
@@ -116,7 +116,11 @@ class Recorder(Sink[RecordedEnv]):
             return
         if record.home not in self._models:
             self._models[record.home] = model_hash(env.sim.model(record.home))
-        columns = {"signals/checks": CHECKS, "signals/forces": FORCES, **buffer.columns()}
+        columns = {
+            "signals/checks": STORED_CHECKS,
+            "signals/forces": FORCES,
+            **buffer.columns(),
+        }
         model = self._models[record.home]
         arrays = buffer.arrays()
         try:
@@ -238,9 +242,9 @@ class _Buffer:
 
 
 def signal_rows(signals: Any) -> tuple[np.ndarray, np.ndarray]:
-    """`tasks.measure.Signals` of W worlds as (W, len(CHECKS)) uint8 and (W, len(FORCES)) float64."""
+    """`tasks.measure.Signals` of W worlds as (W, len(STORED_CHECKS)) uint8 and (W, len(FORCES)) float64."""
     checks = np.stack(
-        [np.asarray(getattr(signals, name)) for name in CHECKS], axis=1
+        [np.asarray(getattr(signals, name)) for name in STORED_CHECKS], axis=1
     ).astype(np.uint8)
     forces = np.stack(
         [np.asarray(getattr(signals, name), np.float64) for name in FORCES], axis=1

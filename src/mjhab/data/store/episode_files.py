@@ -36,7 +36,7 @@ from mjhab.rollout.records import EpisodeRecord
 EPISODE_FOLDER = "episodes"
 """Folder of episode files in that of a data set."""
 INDEX = "index.jsonl"
-CONFIG = "generation.json"
+GENERATION_CONFIG = "generation.json"
 """Configuration of a generated data set; its lock is that of the folder."""
 _NAME = re.compile(r"[0-9a-f]{8}-\d+-\d{7,}")
 """Name of an episode: hash of its config, seed, index (`RunInfo.episode_name`)."""
@@ -80,7 +80,7 @@ def lock_set(folder: Path) -> WriteLock:
     Raises:
         UsageError: another process is doing that.
     """
-    return WriteLock(folder / CONFIG, folder)
+    return WriteLock(folder / GENERATION_CONFIG, folder)
 
 
 class EpisodeFiles:

@@ -25,7 +25,7 @@ OLDEST = 1
 EPISODES = "episodes"
 RUNS = "runs"
 
-CHECKS: tuple[str, ...] = (
+STORED_CHECKS: tuple[str, ...] = (
     "is_grasped",
     "at_goal",
     "ee_rest",
@@ -103,13 +103,13 @@ FIELDS = _fields("""
 1 | states/initial   |     | bytes | uint8 | JSON | `env.get_state` after the reset: the full first state
 1 | states/qpos?     | N+1 | (N+1, nq) | float64 | m, rad, wxyz | generalized positions
 1 | states/qvel?     | N+1 | (N+1, nv) | float64 | m/s, rad/s | generalized velocities
-1 | signals/checks   | N+1 | (N+1, 18) | uint8 | 0 or 1 | CHECKS of the subtask that was active in the step
+1 | signals/checks   | N+1 | (N+1, 18) | uint8 | 0 or 1 | STORED_CHECKS of the subtask that was active in the step
 1 | signals/forces   | N+1 | (N+1, 3) | float64 | N, N, N x steps | FORCES, likewise
 1 | signals/taint    | N+1 | (N+1,) | uint8 | bit mask | faults of the simulation since the reset
 1 | subtasks/active  | N+1 | (N+1,) | int16 | index in the plan | subtask active after the step
 1 | subtasks/step    | K   | (K,) | int32 | control steps | when each subtask that was reached began
 1 | subtasks/index   | K   | (K,) | int16 | index in the plan | which subtask it was
-1 | subtasks/checks  | K   | (K, 18) | uint8 | 0 or 1 | CHECKS at its start: row 0 of its history
+1 | subtasks/checks  | K   | (K, 18) | uint8 | 0 or 1 | STORED_CHECKS at its start: row 0 of its history
 1 | reward/total     | N   | (N,) | float64 | - | what the environment returned
 1 | reward/terms?    | N   | (N, R) | float64 | - | terms of the dense reward, as named
 1 | reward/success   | N   | (N,) | uint8 | 0 or 1 | `info['success']` of every step
@@ -197,15 +197,15 @@ def _width(name: str) -> int:
 
 
 def checks_by_name(rows: np.ndarray) -> dict[str, np.ndarray]:
-    """Split ``signals/checks`` or ``subtasks/checks`` (n, C) into (n, 1) bool arrays by the names of CHECKS.
+    """Split ``signals/checks`` or ``subtasks/checks`` (n, C) into (n, 1) bool arrays by the names of STORED_CHECKS.
 
     If ``ee_contact`` was not recorded, ``touch`` (contact of any link) replaces it, as in the labels of that version.
     """
     table = {
         name: rows[:, column : column + 1].astype(bool)
-        for column, name in enumerate(CHECKS)
+        for column, name in enumerate(STORED_CHECKS)
     }
-    if rows.shape[1] < len(CHECKS):
+    if rows.shape[1] < len(STORED_CHECKS):
         table["ee_contact"] = table["touch"]
     return table
 
@@ -280,12 +280,14 @@ def _not_finite(path: str, array: np.ndarray) -> str:
 def _bad_values(arrays: Mapping[str, np.ndarray], steps: int) -> list[str]:
     found = []
     for path, columns in (
-        ("signals/checks", CHECKS),
+        ("signals/checks", STORED_CHECKS),
         ("signals/forces", FORCES),
-        ("subtasks/checks", CHECKS),
+        ("subtasks/checks", STORED_CHECKS),
     ):
         widths = (
-            (len(columns), len(columns) - 1) if columns is CHECKS else (len(columns),)
+            (len(columns), len(columns) - 1)
+            if columns is STORED_CHECKS
+            else (len(columns),)
         )
         if path in arrays and (
             arrays[path].ndim != 2 or arrays[path].shape[1] not in widths

@@ -21,7 +21,7 @@ from mjhab.data.store.places import entries
 from mjhab.data.store.reading import RecordedEpisode
 from mjhab.episodes.episode import Episode
 from mjhab.episodes.spawn_sets import (
-    SUFFIX,
+    SPAWNS_SUFFIX,
     SpawnRecipe,
     SpawnRow,
     SpawnSet,
@@ -67,8 +67,8 @@ def make_chain_starts(spec: ChainStartsSpec) -> SpawnSet:
     Raises:
         UsageError: see `chain_starts`.
     """
-    if spec.out.suffix != SUFFIX:
-        raise UsageError(f"a spawn set ends with {SUFFIX}, got {spec.out}.")
+    if spec.out.suffix != SPAWNS_SUFFIX:
+        raise UsageError(f"a spawn set ends with {SPAWNS_SUFFIX}, got {spec.out}.")
     if spec.out.exists() and not spec.overwrite:
         raise UsageError(f"{spec.out} exists; add --overwrite, or choose another --out.")
     config = _common_options(spec)

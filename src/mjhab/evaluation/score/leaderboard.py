@@ -8,7 +8,7 @@ from typing import Any
 
 from mjhab.evaluation.score.capabilities import CAPABILITIES
 from mjhab.evaluation.score.manifest import BUILTIN_HOMES, TRACKS, Manifest
-from mjhab.evaluation.score.published import PUBLISHED, WHAT_DIFFERS
+from mjhab.evaluation.score.published import PUBLISHED_RESULTS, WHAT_DIFFERS
 from mjhab.evaluation.score.result import ScoreResult
 from mjhab.reports.metrics import mean
 from mjhab.robots.registry import DEFAULT_ROBOT
@@ -60,7 +60,7 @@ def _scores(results: Sequence[ScoreResult], asked: Manifest) -> str:
             "score": f"{one.mean:.1f}",
             "digest": one.source,
         }
-        for one in PUBLISHED.get(asked.track, ())
+        for one in PUBLISHED_RESULTS.get(asked.track, ())
     ]
     columns = list(cells[0])
     rows = [[line.get(name, "-") for name in columns] for line in (*cells, *published)]

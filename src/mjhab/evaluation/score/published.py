@@ -14,7 +14,7 @@ class Published:
     source: str
 
 
-PUBLISHED: dict[str, tuple[Published, ...]] = {
+PUBLISHED_RESULTS: dict[str, tuple[Published, ...]] = {
     "ms_hab_7": (
         Published("RDT", 42.9, "in the table of AC-DiT *"),
         Published("AC-DiT, 1.2 B parameters", 55.6, "arXiv 2507.01961 *"),

@@ -11,8 +11,8 @@ from __future__ import annotations
 
 import mjhab
 from mjhab.robots.parts import (
-    FREE,
     LOOK_FORWARD,
+    UNBOUNDED,
     Body,
     CameraMount,
     Finger,
@@ -34,11 +34,11 @@ TREE = (
     TreeLink("mast", "base", "", (0.10, 0.0, 0.36)),
     TreeLink("turret", "mast", "turn", (0.0, 0.0, 0.65), Z, limits=(-2.8, 2.8)),
     TreeLink("upper", "turret", "lift", (0.10, 0.0, 0.06), Y, limits=(-1.6, 1.6)),
-    TreeLink("upper_roll", "upper", "twist", (0.18, 0.0, 0.0), X, limits=FREE),
+    TreeLink("upper_roll", "upper", "twist", (0.18, 0.0, 0.0), X, limits=UNBOUNDED),
     TreeLink("fore", "upper_roll", "elbow", (0.17, 0.0, 0.0), Y, limits=BEND),
-    TreeLink("fore_roll", "fore", "roll", (0.16, 0.0, 0.0), X, limits=FREE),
+    TreeLink("fore_roll", "fore", "roll", (0.16, 0.0, 0.0), X, limits=UNBOUNDED),
     TreeLink("wrist", "fore_roll", "nod", (0.15, 0.0, 0.0), Y, limits=BEND),
-    TreeLink("palm", "wrist", "spin", (0.11, 0.0, 0.0), X, limits=FREE),
+    TreeLink("palm", "wrist", "spin", (0.11, 0.0, 0.0), X, limits=UNBOUNDED),
     TreeLink("grip", "palm", "", (0.15, 0.0, 0.0)),
     TreeLink("left", "grip", "left_finger", (0.0, 0.0, 0.0), Y, True, (0.0, 0.05)),
     TreeLink(

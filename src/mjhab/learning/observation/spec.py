@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING, Any
 
-from mjhab.config.profiles import DEFAULT_PROFILE, FREE, PROFILES, profile_named
+from mjhab.config.profiles import DEFAULT_PROFILE, FREE_OPTIONS, PROFILES, profile_named
 from mjhab.core.conventions.names import OBJECT_AXES, UNWRAPPED, Conventions
 from mjhab.core.errors import UsageError, shown
 from mjhab.core.typed.options import read_record
@@ -266,7 +266,7 @@ def profile_of(options: Mapping[str, Any]) -> str:
     options_in_force = {**asdict(Conventions.of(options)), **options}
     for profile in PROFILES.values():
         values = profile.options(str(options.get("subtask", "")), trains=False)
-        apart = {*FREE, "object_axes", *(NEWER_OPTIONS - options.keys())}
+        apart = {*FREE_OPTIONS, "object_axes", *(NEWER_OPTIONS - options.keys())}
         values = {name: value for name, value in values.items() if name not in apart}
         if profile.binding and all(
             _plain(options_in_force.get(name)) == _plain(value)

@@ -19,7 +19,7 @@ from mjhab.data.select.query import Filter
 from mjhab.evaluation.resolve import open_policy
 from mjhab.learning.configs import DaggerConfig
 from mjhab.learning.observation.spec import ObservationSpec
-from mjhab.learning.policy_kind import CAMERA_SIZE, joined
+from mjhab.learning.policy_kind import CAMERA_SIZE_OPTION, joined
 from mjhab.learning.runs.collection import Round
 from mjhab.learning.runs.imitation import ImitationSession
 
@@ -117,9 +117,12 @@ def _with_teacher(view: dict[str, Any], teacher: str) -> dict[str, Any]:
         return view
     needed = open_policy(teacher).facts.env_options
     both = joined(teacher, [("the student", view), (teacher, needed)])
-    if CAMERA_SIZE in view and both[CAMERA_SIZE] != view[CAMERA_SIZE]:
+    if (
+        CAMERA_SIZE_OPTION in view
+        and both[CAMERA_SIZE_OPTION] != view[CAMERA_SIZE_OPTION]
+    ):
         raise UsageError(
-            f"the teacher {teacher} sees images of {both[CAMERA_SIZE]} px, the student of {view[CAMERA_SIZE]} px: give "
-            f"--set inputs.image_size={both[CAMERA_SIZE]}."
+            f"the teacher {teacher} sees images of {both[CAMERA_SIZE_OPTION]} px, the student of "
+            f"{view[CAMERA_SIZE_OPTION]} px: give --set inputs.image_size={both[CAMERA_SIZE_OPTION]}."
         )
     return both

@@ -12,7 +12,7 @@ from mjhab.tasks.subtasks.registry import SUBTASKS
 STUDENTS = "students"
 RL_PER = "rl_per"
 RL_ALL = "rl_all"
-COLUMNS = (STUDENTS, RL_PER, RL_ALL)
+POLICY_COLUMNS = (STUDENTS, RL_PER, RL_ALL)
 """students: imitation of the expert by take-over DAgger, one policy per row. rl_per: reinforcement learning, one policy
 per object. rl_all: reinforcement learning, one policy for all objects of a row. Open and Close have one policy per link
 in every column."""

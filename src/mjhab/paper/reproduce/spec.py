@@ -17,7 +17,7 @@ from mjhab.core.typed.flags import Flag
 from mjhab.core.typed.options import taken
 from mjhab.learning.configs import BC, preset_of
 from mjhab.paper.reproduce.rows import (
-    COLUMNS,
+    POLICY_COLUMNS,
     RL_ALL,
     STUDENTS,
     TableRow,
@@ -230,8 +230,8 @@ def chosen_rows(spec: TableSpec) -> list[TableRow]:
     for name in spec.rows:
         if name not in known:
             raise unknown_name("row", name, known)
-    if spec.column not in COLUMNS:
-        raise unknown_name("column", spec.column, COLUMNS)
+    if spec.column not in POLICY_COLUMNS:
+        raise unknown_name("column", spec.column, POLICY_COLUMNS)
     _ = spec.asked
     compares = spec.what in (*STUDIES, *REWARDED)
     if compares and spec.column != STUDENTS:

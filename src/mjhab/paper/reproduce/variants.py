@@ -57,7 +57,8 @@ class Imitation:
 class Reinforcement:
     """How a study trains policies by reinforcement learning.
 
-    column: one of `rows.COLUMNS`, says what each policy is for. algorithm: sac or ppo; "" for that of the column.
+    column: one of `rows.POLICY_COLUMNS`, says what each policy is for.
+    algorithm: sac or ppo; "" for that of the column.
     seed: added to that of the request.
     """
 

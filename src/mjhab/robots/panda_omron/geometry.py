@@ -18,7 +18,7 @@ from mjhab.robots.panda_omron.assets import robosuite_file
 from mjhab.robots.parts import Body, Inertial, TreeLink
 from mjhab.scenes.spec import Geom, Vec3
 
-BASE = "base"
+BASE_LINK = "base"
 COLUMN = "support"
 TCP = "tcp"
 WRIST_ZERO = {"joint6": np.pi / 2, "joint7": np.pi / 4}
@@ -78,14 +78,16 @@ def load_body() -> Body:
     files = panda_files()
     up = (0.0, 0.0, 1.0)
     tree = (
-        TreeLink(COLUMN, BASE, "joint_torso_height", COLUMN_POS, up, True, COLUMN_TRAVEL),
+        TreeLink(
+            COLUMN, BASE_LINK, "joint_torso_height", COLUMN_POS, up, True, COLUMN_TRAVEL
+        ),
         *files.arm.tree(COLUMN, (0.0, 0.0, 0.0)),
         *files.hand.tree("right_hand", (0.0, 0.0, 0.0)),
         TreeLink(TCP, "right_gripper", "", (TCP_FROM_HAND, 0.0, 0.0)),
     )
     light = Inertial(0.01, (0.0, 0.0, 0.0), (1e-5, 1e-5, 1e-5, 0.0, 0.0, 0.0))
     inertials = {
-        BASE: _BASE_MASS,
+        BASE_LINK: _BASE_MASS,
         COLUMN: _COLUMN_MASS,
         **files.arm.inertials(),
         **files.hand.inertials(),
@@ -99,7 +101,7 @@ def _collision(files: PandaFiles) -> dict[str, tuple[Geom, ...]]:
     base = Geom("box", (0.35, 0.25, 0.19), (CENTER_X - 0.20, 0.0, 0.192), visual=False)
     lower = Geom("cylinder", (0.12, 0.2, 0.0), (CENTER_X - 0.05, 0.0, 0.50), visual=False)
     upper = Geom("cylinder", (0.1125, 0.2, 0.0), (-0.05, 0.0, -0.20), visual=False)
-    found: dict[str, tuple[Geom, ...]] = {BASE: (base, lower), COLUMN: (upper,)}
+    found: dict[str, tuple[Geom, ...]] = {BASE_LINK: (base, lower), COLUMN: (upper,)}
     for mesh in files.meshes(group=0):
         boxes = boxes_around(mesh, SLICES.get(mesh.link, 2))
         found[mesh.link] = (*found.get(mesh.link, ()), *boxes)

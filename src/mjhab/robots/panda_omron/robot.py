@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from mjhab.core.rotations import quat_from_axis_angle, quat_mul
-from mjhab.robots.panda_omron.geometry import BASE, COLUMN, TCP, load_body
+from mjhab.robots.panda_omron.geometry import BASE_LINK, COLUMN, TCP, load_body
 from mjhab.robots.parts import (
     LOOK_FORWARD,
     ActionLimits,
@@ -93,13 +93,13 @@ ROBOT = Robot(
         *READY,
         *(FINGERS_AT_REST_M, FINGERS_AT_REST_M),
     ),
-    base_link=BASE,
+    base_link=BASE_LINK,
     base_height=0.02,
     arm_root=COLUMN,
     tcp=TCP,
     fingers=FINGERS,
-    force_links=(BASE, COLUMN, "link0", *ARM_LINKS, "right_gripper"),
-    trunk_links=(BASE, COLUMN, "link0"),
+    force_links=(BASE_LINK, COLUMN, "link0", *ARM_LINKS, "right_gripper"),
+    trunk_links=(BASE_LINK, COLUMN, "link0"),
     distal_links=(
         "link5",
         "link6",

@@ -9,7 +9,7 @@ import trimesh
 
 from mjhab.robots.meshes import coarse_mesh
 from mjhab.robots.panda_omron.assets import robosuite_file
-from mjhab.robots.panda_omron.geometry import BASE, CENTER_X, COLUMN, panda_files
+from mjhab.robots.panda_omron.geometry import BASE_LINK, CENTER_X, COLUMN, panda_files
 from mjhab.scenes.shapes.meshes import Mesh
 
 MAX_FACES = 2500
@@ -45,7 +45,11 @@ def robot_meshes() -> list[tuple[str, Mesh, str]]:
         loaded = trimesh.load_mesh(file, process=False)
         vertices = np.asarray(loaded.vertices) + WHEELBASE_POS
         parts.append(
-            (BASE, coarse_mesh(vertices, np.asarray(loaded.faces), MAX_FACES), material)
+            (
+                BASE_LINK,
+                coarse_mesh(vertices, np.asarray(loaded.faces), MAX_FACES),
+                material,
+            )
         )
     for part in panda_files().meshes(group=0):
         loaded = trimesh.load_mesh(part.file)
@@ -60,7 +64,7 @@ def robot_meshes() -> list[tuple[str, Mesh, str]]:
 def _column() -> list[tuple[str, Mesh, str]]:
     """Return meshes of the two tubes of the lifting column, which are primitives in the files."""
     tubes = (
-        (BASE, (CENTER_X - 0.05, 0.0, 0.50), 0.12),
+        (BASE_LINK, (CENTER_X - 0.05, 0.0, 0.50), 0.12),
         (COLUMN, (-0.05, 0.0, -0.20), 0.1125),
     )
     parts = []

@@ -22,7 +22,7 @@ from PIL import Image
 from mjhab.core.errors import MjhabError
 from mjhab.core.files.cache import write_atomic
 from mjhab.core.timing import STEP_SECONDS
-from mjhab.data.store.schema import CHECKS
+from mjhab.data.store.schema import STORED_CHECKS
 from mjhab.render.follow_camera import FollowCamera
 from mjhab.render.home_scene import build_render_scene
 from mjhab.reports.pages import base64_text, render_page
@@ -179,7 +179,7 @@ def _header(track: Track, models: DrawnHome, block: _Block) -> dict[str, Any]:
                 [[m.terms.get(name, 0.0) for name in terms] for m in moments], np.float32
             )
         ),
-        "checks": list(CHECKS),
+        "checks": list(STORED_CHECKS),
         "check": block.add(np.stack([m.checks for m in moments])),
         "looks": [_look(look) for look in models.looks],
         "home_model": _model(models.home, block),

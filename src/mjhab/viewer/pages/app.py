@@ -13,7 +13,7 @@ from collections.abc import Callable
 import numpy as np
 import viser
 
-from mjhab.data.store.schema import CHECKS
+from mjhab.data.store.schema import STORED_CHECKS
 from mjhab.layout.layout import Layout
 from mjhab.render.follow_camera import FollowCamera
 from mjhab.render.home_scene import build_render_scene
@@ -39,7 +39,7 @@ HOLD_SECONDS = 120.0
 """Longest time that an open page may take to draw the home before the first episode begins all the same [s]."""
 DRAWN = '{"drawn":true}'
 """Message of `hand.js`: the page shows the home."""
-_GRASPED = CHECKS.index("is_grasped")
+_GRASPED = STORED_CHECKS.index("is_grasped")
 
 
 class Viewer:

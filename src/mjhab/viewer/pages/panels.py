@@ -12,7 +12,7 @@ import viser
 from viser import uplot
 
 from mjhab.core.timing import STEP_SECONDS
-from mjhab.data.store.schema import CHECKS
+from mjhab.data.store.schema import STORED_CHECKS
 from mjhab.viewer.pages.timeline import (
     TONE_COLORS,
     WIDTH,
@@ -322,7 +322,7 @@ def _fill(handle: Any, content: str) -> None:
 
 def _checks_html(checks: np.ndarray) -> str:
     marks = []
-    for name, value in zip(CHECKS, checks.tolist(), strict=True):
+    for name, value in zip(STORED_CHECKS, checks.tolist(), strict=True):
         color = TONE_COLORS["good"] if value else "#8884"
         marks.append(
             f'<span style="background:{color};border-radius:8px;padding:1px 7px;margin:1px;display:inline-block;'

@@ -11,7 +11,7 @@ from mjhab.data.select.query import Filter
 from mjhab.data.store.places import shard_paths
 from mjhab.data.store.reading import RecordedEpisode, open_shard
 from mjhab.envs.sequential import SequentialTaskEnv
-from mjhab.rollout.store import EPISODES
+from mjhab.rollout.store import EPISODES_FILE
 from mjhab.sim.mujoco.cpu import CpuSimulator
 from mjhab.viewer.drawn.plan_marks import PlanMarks
 from mjhab.viewer.sources.pace import RealTimeClock
@@ -222,7 +222,7 @@ def _refuse_evaluations(places: Path | Sequence[Path]) -> None:
         UsageError: a place is such a folder, without shards; the message tells how to record its episodes.
     """
     for place in [places] if isinstance(places, Path) else places:
-        if (place / EPISODES).is_file() and not any(place.rglob("*.h5")):
+        if (place / EPISODES_FILE).is_file() and not any(place.rglob("*.h5")):
             raise UsageError(
                 f"{place} is the folder of an evaluation, which keeps no states. Record its episodes with `mjhab "
                 "generate --out FOLDER` and the policy, task, subtask, split and seed of its config.json, and view "

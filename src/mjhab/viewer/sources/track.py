@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from mjhab.data.store.reading import RecordedEpisode
-from mjhab.data.store.schema import CHECKS, FORCES
+from mjhab.data.store.schema import FORCES, STORED_CHECKS
 from mjhab.rollout.records import Event, PlanEntry
 from mjhab.tasks.scoring import term_names
 from mjhab.tasks.subtasks.registry import limits_of
@@ -25,7 +25,7 @@ class Moment:
         active: index of the active subtask in the plan; the length of the plan once all are done.
         robot_force: contact force on the robot [N].
         cumulative_force: its sum since the active subtask began [N x control steps].
-        checks: (len(CHECKS),) uint8, 0 or 1.
+        checks: (len(STORED_CHECKS),) uint8, 0 or 1.
         reward, terms: reward of the step and its terms by name; 0 and empty in the first state.
         actor: name of the policy or person that acted in the step; "" in the first state.
     """
@@ -176,6 +176,6 @@ def recorded_track(episode: RecordedEpisode, config: TaskConfig) -> Track:
 
 
 def _checks(rows: np.ndarray) -> np.ndarray:
-    """Checks (N + 1, len(CHECKS)) uint8 of N control steps; columns that the shard lacks are filled with 0."""
-    missing = len(CHECKS) - rows.shape[1]
+    """Checks (N + 1, len(STORED_CHECKS)) uint8 of N control steps; columns that the shard lacks are filled with 0."""
+    missing = len(STORED_CHECKS) - rows.shape[1]
     return np.pad(rows, ((0, 0), (0, missing)))

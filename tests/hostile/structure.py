@@ -26,7 +26,7 @@ import numpy as np
 from mjhab.cli.main import main
 from mjhab.core.errors import MjhabError
 from mjhab.data.record.generation import generate
-from mjhab.data.record.job import CONFIG, TRIED
+from mjhab.data.record.job import GENERATION_CONFIG, TRIED
 from mjhab.data.select.sets import stats
 from mjhab.data.store.checking import check, repair
 from mjhab.data.store.episode_data import episode_digest
@@ -326,7 +326,7 @@ SUBJECTS: dict[str, Subject] = {
         make_run, _changing(change_json_file, "run/summary.json"), read_run
     ),
     "generation config": Subject(
-        make_set, _changing(change_json_file, f"set/{CONFIG}"), read_set
+        make_set, _changing(change_json_file, f"set/{GENERATION_CONFIG}"), read_set
     ),
     "tried episodes": Subject(
         make_set, _changing(change_json_line, f"set/{TRIED}"), read_set

@@ -20,7 +20,7 @@ import pytest
 
 from mjhab.core.errors import MjhabError, UsageError
 from mjhab.data.record.generation import generate
-from mjhab.data.record.job import CONFIG, TRIED, Job, Standing
+from mjhab.data.record.job import GENERATION_CONFIG, TRIED, Job, Standing
 from mjhab.data.record.pools import ProcessPool
 from mjhab.data.record.workers import Stage
 from mjhab.data.store.checking import check
@@ -335,13 +335,13 @@ def test_folders_that_cannot_be_used(tmp_path: Path) -> None:
         generate(job(tmp_path / "a", episodes=3), InlinePool())
     with pytest.raises(UsageError, match="started with keep = '', now it is"):
         generate(job(tmp_path / "a", "success", episodes=3), InlinePool(), resume=True)
-    (tmp_path / "a" / CONFIG).unlink()
+    (tmp_path / "a" / GENERATION_CONFIG).unlink()
     with pytest.raises(UsageError, match="nothing to resume"):
         generate(job(tmp_path / "a", episodes=3), InlinePool(), resume=True)
     with pytest.raises(UsageError, match="is a file"):
         file = min((tmp_path / "a").rglob("*.h5"))
         generate(job(file, episodes=3), InlinePool())
-    (tmp_path / "a" / CONFIG).write_text('{"keep": ""}')
+    (tmp_path / "a" / GENERATION_CONFIG).write_text('{"keep": ""}')
     work = job(tmp_path / "a", episodes=5)
     with pytest.raises(UsageError, match="is being written"):
         generate(

@@ -1,3 +1,4 @@
+# pyright: reportMissingImports=false, reportAttributeAccessIssue=false
 """A stand-in for data collectors, and for evaluations of models that go on after failures."""
 
 import json

@@ -1,3 +1,4 @@
+# pyright: reportMissingImports=false, reportAttributeAccessIssue=false
 """A stand-in for training scripts: a small actor on frames of depth and state, updated from what was collected."""
 
 import sys

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
@@ -32,6 +32,10 @@ from mjhab.episodes.spawn_sets import (
 from mjhab.evaluation.datasets.specs import ChainStartsSpec, PlacesLike
 from mjhab.evaluation.recorded import recorded_env
 from mjhab.layout.addresses import Addresses
+from mjhab.scenes.pack_source import pack_request
+
+if TYPE_CHECKING:
+    from mjhab.envs.sequential import SequentialTaskEnv
 
 _SAME = ("task", "split", "assets", "home", "spawn_rule", "robot", "joint_dynamics")
 """Options of the environment that all episodes of a set have in common."""
@@ -80,10 +84,13 @@ def make_chain_starts(spec: ChainStartsSpec) -> SpawnSet:
     rows: list[SpawnRow] = []
     began: set[str] = set()
     layout = None
-    for env, batch in batches(
+    for made, batch in batches(
         spec.places, lambda run: recorded_env(run, num_envs=1), spec.filter()
     ):
+        env = cast("SequentialTaskEnv", made)
         layout = env.layout
+        # A recording may be of a version that had other walls.
+        config["assets"] = pack_request(env.config.assets).as_json()
         for recorded in batch:
             began |= {f"{each.kind}/{kind_of(each.target)}" for each in _begun(recorded)}
             episode = env.make_episode(recorded.record.seed, recorded.record.index)

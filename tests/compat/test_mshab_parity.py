@@ -47,14 +47,15 @@ def test_every_entry_of_an_environment_is_judged(parity: Any, kind: str) -> None
         sensor_configs={"width": 16, "height": 16},
         add_event_tracker_info=True,
     )
+    worlds: Any = env.unwrapped
     _, info = env.reset(seed=0)
-    shown = leaves(env.unwrapped.single_observation_space)
+    shown = leaves(worlds.single_observation_space)
     plain = {name.replace("fetch_head", "*").replace("fetch_hand", "*") for name in shown}
     assert plain == set(parity.OBSERVATIONS)
     judged = {name for names in parity.INFO for name in names.split(", ")}
     told = {NAMES.get(name, name).split(", ")[0] for name in info} - APART
     assert told <= judged
-    assert env.unwrapped.single_action_space.shape == (13,)
+    assert worlds.single_action_space.shape == (13,)
     env.close()
 
 

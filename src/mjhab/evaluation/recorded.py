@@ -36,7 +36,9 @@ def recorded_env(run: RunInfo, **options: Any) -> SequentialTaskEnv:
             "the episodes do not say in which environment they were recorded (config has no env), so they cannot be "
             "simulated again."
         )
-    config = {key: tuple(v) if isinstance(v, list) else v for key, v in recorded.items()}
+    config: dict[str, Any] = {
+        key: tuple(v) if isinstance(v, list) else v for key, v in recorded.items()
+    }
     known = {option.name for option in dataclasses.fields(EnvConfig)}
     for name in config:
         if name not in known - options.keys() - {"autoreset"}:

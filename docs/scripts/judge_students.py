@@ -12,11 +12,14 @@ import datetime
 import json
 import subprocess
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from mjhab.core.version import __version__
 from mjhab.reports.metrics import wilson
+from mjhab.reports.students import pack_name
+from mjhab.scenes.pack_source import pack_request
 
 FILE = Path(__file__).parents[1] / "results" / "students-judged.json"
 ROWS = (
@@ -33,18 +36,20 @@ ROWS = (
 )
 CHAINS = ("tidy_house", "prepare_groceries", "set_table")
 KEYS = ("task", "subtask", "target", "split", "seed", "pack")
-"""What identifies a row of the file; whole tasks have no subtask. The pack of a folder has the folder's name."""
+"""What identifies a row of the file; whole tasks have no subtask. The pack of a folder has the folder's name,
+and after "?stage=" its walls, if it has any."""
 
 
-def command(row: dict[str, Any], episodes: int, assets: str, folder: Path) -> list[str]:
+def command(
+    row: dict[str, Any], episodes: int, assets: Sequence[str], folder: Path
+) -> list[str]:
     """`mjhab eval` of a row."""
     words = [sys.executable, "-m", "mjhab", "eval", "--policy", "learned"]
     words += ["--task", row["task"], "--split", row["split"], "--seed", str(row["seed"])]
     for name in ("subtask", "target"):
         words += [f"--{name}", row[name]] if row[name] else []
     words += [
-        "--assets",
-        assets,
+        *assets,
         "--profile",
         "ms_hab",
         "--episodes",
@@ -110,7 +115,7 @@ def wanted(options: argparse.Namespace) -> list[tuple[dict[str, Any], int]]:
     for split in options.split:
         for seed in options.seed:
             for task, subtask, target, count in names:
-                pack = Path(options.assets).name
+                pack = pack_of(options)
                 values = (task, subtask, target, split, seed, pack)
                 row = dict(zip(KEYS, values, strict=True))
                 shown = "/".join(filter(None, (task, subtask or "chain", target)))
@@ -119,18 +124,28 @@ def wanted(options: argparse.Namespace) -> list[tuple[dict[str, Any], int]]:
     return found
 
 
+def pack_of(options: argparse.Namespace) -> str:
+    """Name of the pack in a row, with the walls that it has here."""
+    stage = {"stage": options.stage} if options.stage else {}
+    request = pack_request({"place": options.assets, **stage})
+    return pack_name(request.as_json()).removesuffix("?stage=none")
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument(
         "--assets", default="builtin", help="builtin, or FOLDER of a pack"
     )
+    parser.add_argument("--stage", default="", help="walls, as of mjhab eval")
     parser.add_argument("--split", nargs="+", default=["val", "test"])
     parser.add_argument("--seed", nargs="+", type=int, default=[0])
     parser.add_argument("--episodes", type=int, default=200)
     parser.add_argument("--chains", type=int, default=50)
     parser.add_argument("--only", nargs="+", default=[""], help="such as set_table/open")
     options = parser.parse_args()
+    assets = ["--assets", options.assets]
+    assets += ["--stage", options.stage] if options.stage else []
     head = ["git", "rev-parse", "HEAD"]
     commit = subprocess.run(head, capture_output=True, text=True).stdout.strip()
     for row, count in wanted(options):
@@ -138,7 +153,7 @@ def main() -> None:
         folder = options.out / name
         print(name, flush=True)
         done = subprocess.run(
-            command(row, count, options.assets, folder), stdout=subprocess.DEVNULL
+            command(row, count, assets, folder), stdout=subprocess.DEVNULL
         )
         if done.returncode:
             sys.exit(done.returncode)

@@ -55,7 +55,7 @@ def student_row(run: Path, evaluation: Path) -> dict[str, Any]:
     student = config["config"].get("student", config["config"])
     return {
         **{name: judged[name] or "" for name in ("task", "subtask", "target")},
-        "assets": _pack(judged["assets"]),
+        "assets": pack_name(judged["assets"]),
         "preset": student["preset"],
         "image_size": student["inputs"]["image_size"],
         "seed": config["seed"],
@@ -74,7 +74,7 @@ def judged_row(rows: Sequence[dict[str, Any]], evaluation: Path) -> dict[str, An
     judged = read_json(evaluation / "config.json")
     size = judged["env"]["camera_size"] if judged["env"]["obs_mode"] != "state" else 0
     wanted = {name: judged[name] or "" for name in ("task", "subtask", "target")}
-    wanted |= {"image_size": size, "assets": _pack(judged["assets"]), "seed": 0}
+    wanted |= {"image_size": size, "assets": pack_name(judged["assets"]), "seed": 0}
     found = [row for row in rows if wanted.items() <= row.items()]
     if len(found) != 1:
         raise UsageError(
@@ -83,7 +83,7 @@ def judged_row(rows: Sequence[dict[str, Any]], evaluation: Path) -> dict[str, An
     return {**found[0], **evaluated(judged, evaluation)}
 
 
-def _pack(assets: str | Mapping[str, Any]) -> str:
+def pack_name(assets: str | Mapping[str, Any]) -> str:
     """Name of a pack in a row: its folder, and the stage if it is not the scenes' own (none where that is missing)."""
     given = {"place": assets} if isinstance(assets, str) else assets
     stage = given.get("stage", "own")

@@ -62,6 +62,8 @@ INTEGER_CALLS = frozenset(
     ]
 )
 INTEGER_SUMS = {
+    "compat/mshab/files/making.py": {"part.left_out"},
+    "compat/mshab/worlds/starting.py": {"map(starts.spawns, range(len(starts.plans)))"},
     "bench/experts/report.py": {"asked"},
     "bench/experts/run.py": {"row.episodes - len(found)"},
     "bench/parity/run.py": {"row['close']"},
@@ -92,7 +94,7 @@ INTEGER_SUMS = {
         "size(shapes, f'{_PIXELS}{camera}.projection.0.weight', 0, 50)",
     },
     "learning/reinforcement/session.py": {"self._outcomes"},
-    "learning/runs/imitation.py": {"tried_in(self.place(out, scene))"},
+    "learning/runs/imitation.py": {"tried_in(self.place(out, name))"},
     "paper/reproduce/results.py": {"summary['demonstrations']"},
     "reports/plots.py": {"counts[kind].values()"},
 }

@@ -40,7 +40,9 @@ def can_stand_in(folder: Path, scenes: Iterable[str] = ()) -> bool:
         return False
     patterns = ("v3_sc?_staging_*", *scenes)
     found = (
-        f for p in patterns for f in folder.glob(f"configs/scenes/{p}{SCENE_SUFFIX}")
+        f
+        for p in patterns
+        for f in sorted(folder.glob(f"configs/scenes/{p}{SCENE_SUFFIX}"))
     )
     names = (file.name.removesuffix(SCENE_SUFFIX) for file in found)
     return all((folder / NAVMESHES / f"{name}.navmesh").is_file() for name in names)

@@ -47,6 +47,7 @@ JOINT_NUMBERS = re.compile(
 )
 """A number where a column of joint positions belongs."""
 PUBLISHED = (
+    "compat/mshab/",  # names that MS-HAB's scripts import and read
     "data/imports/ms_hab_layout.py",  # names of the actions in MS-HAB's files
     "data/store/older/schemas.py",  # names of the joints in shards that do not name theirs
     "paper/ms_hab/network.py",  # names of the cameras in MS-HAB's checkpoints

@@ -13,7 +13,7 @@ from mjhab.config.env_spec import EnvSpec, env_options
 from mjhab.core.errors import UsageError
 from mjhab.core.machine import cores
 from mjhab.core.progress import progress_bar
-from mjhab.core.typed.bounds import Positive
+from mjhab.core.typed.bounds import Output, Positive
 from mjhab.core.typed.flags import Flag
 
 
@@ -30,7 +30,7 @@ class EpisodesPlansSpec(EnvSpec):
         UsageError: an option is invalid.
     """
 
-    out: Annotated[Path, Flag(metavar="DIR")]
+    out: Annotated[Path, Flag(metavar="DIR"), Output()]
     """The folder to write to; plans of other tasks, subtasks and splits in it stay."""
     count: Positive = 100
     """Number of episodes; the original has 10,000 of train and 1,000 of val."""

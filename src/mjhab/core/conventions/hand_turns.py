@@ -18,7 +18,7 @@ as documented."""
 TURN_COLUMNS = slice(3, 6)
 """The turn in an action of these modes."""
 LARGEST_TURN_RAD = 0.1
-"""Turn of an action of length 1, with the robot Fetch."""
+"""Turn of an action of length 1."""
 
 
 def maniskill_turn(angles: Array) -> Array:

@@ -51,7 +51,8 @@ class SceneParts:
         self.subtask_cfg = arguments.configs.get(arguments.subtask)
         self.agent = AgentView(worlds, arguments.control_mode)
         self.resting_qpos = torch.tensor(
-            worlds.layout.robot.rest_qpos[3:-2], device=self.device
+            worlds.layout.robot.rest_qpos[worlds.task_config.joints.posture],
+            device=self.device,
         )
         self.base_task_plans: dict[tuple[str, ...], TaskPlan] = {
             _uids(plan): plan for plan in arguments.task_plans

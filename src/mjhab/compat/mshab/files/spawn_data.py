@@ -122,9 +122,7 @@ def _array(path: Path, name: str, value: object, width: int | None) -> np.ndarra
             f"shape of {name}",
             shape,
             f"(spawns, {'joints' if width is None else width})",
-            "A spawn has the positions of all joints of the robot."
-            if width == JOINTS
-            else "",
+            "Spawns of MS-HAB are of the robot Fetch." if width == JOINTS else "",
             where=path,
         )
     array = value.detach().to(torch.float64).numpy()

@@ -21,6 +21,7 @@ from mjhab.data.store.images import ImageFormat
 from mjhab.data.store.reading import open_shard
 from mjhab.data.store.shard import ShardWriter
 from mjhab.envs import make
+from mjhab.experts import make_expert
 from mjhab.learning.batches import take_chunks
 from mjhab.learning.checkpoint import load_checkpoint
 from mjhab.learning.configs import PRESETS, InputConfig
@@ -31,9 +32,10 @@ from mjhab.learning.observation.spec import ObservationSpec, observation_spec_of
 from mjhab.learning.policy_kind import joined, members
 from mjhab.learning.reinforcement.agent_encoder import AgentEncoder
 from mjhab.learning.reinforcement.configs import PRESETS as AGENT_PRESETS
+from mjhab.learning.runs.intervention import Intervention
 from mjhab.learning.shipped_kind import shipped
 from mjhab.rollout.loop import rollout
-from mjhab.rollout.policy import RandomPolicy
+from mjhab.rollout.policy import Policy, RandomPolicy
 
 SIZE = 16
 STEPS = 9
@@ -98,12 +100,16 @@ class InTorch:
         return torch.as_tensor(self._env.state_as(conventions))
 
 
-class Watching(RandomPolicy):
-    """Acts at random, and keeps what encoders of all inputs make of it."""
+class Watching:
+    """Lets another policy act, and keeps what encoders of all inputs make of it."""
 
-    def __init__(self, env: Any, specs: Mapping[str, ObservationSpec]) -> None:
-        super().__init__(3)
+    name = "watching"
+
+    def __init__(
+        self, env: Any, specs: Mapping[str, ObservationSpec], acting: Policy
+    ) -> None:
         self.specs = specs
+        self.acting = acting
         self.numpy = {n: ObservationEncoder(env, spec) for n, spec in specs.items()}
         tensors: Any = InTorch(env)
         self.torch = {n: ObservationEncoder(tensors, spec) for n, spec in specs.items()}
@@ -113,7 +119,7 @@ class Watching(RandomPolicy):
         self.seen: dict[str, list[list[Any]]] = {n: [] for n in specs}
 
     def reset(self, mask: np.ndarray) -> None:
-        super().reset(mask)
+        self.acting.reset(mask)
         for name in self.numpy:
             self.numpy[name].begin(mask)
             self.torch[name].begin(torch.from_numpy(mask.copy()))
@@ -125,7 +131,7 @@ class Watching(RandomPolicy):
             for key, value in obs.items()
             if isinstance(value, np.ndarray)
         }
-        actions = super().act(obs, info)
+        actions = self.acting.act(obs, info)
         for name, kept in self.seen.items():
             kept.append(
                 [
@@ -140,8 +146,11 @@ class Watching(RandomPolicy):
         return actions
 
 
-@pytest.fixture(scope="module")
-def watched(tmp_path_factory: pytest.TempPathFactory) -> tuple[Watching, Path, Any]:
+@pytest.fixture(scope="module", params=["random", "take_over"])
+def watched(
+    request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
+) -> tuple[Watching, Path, Any]:
+    """Episodes at random, or begun at random and finished by the expert; recorded with images and without."""
     env: Any = make(
         task="set_table",
         subtask="open",
@@ -158,7 +167,10 @@ def watched(tmp_path_factory: pytest.TempPathFactory) -> tuple[Watching, Path, A
         name: observation_spec_of(env, inputs, (TARGET,))
         for name, inputs in INPUTS.items()
     }
-    policy = Watching(env, specs)
+    acting: Policy = RandomPolicy(3)
+    if request.param == "take_over":
+        acting = Intervention(acting, make_expert(env), STEPS - 2)
+    policy = Watching(env, specs, acting)
     path = tmp_path_factory.mktemp("watched") / "a.h5"
     with ShardWriter(path) as writer, ShardWriter(path.with_name("bare.h5")) as bare:
         recorders = [

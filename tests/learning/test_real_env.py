@@ -37,7 +37,7 @@ from tests.learning.small import config, train_in
 
 BOXY = Path(__file__).parents[2] / "examples" / "robot" / "boxy.py"
 HOLD_STEPS = 5
-INPUTS = InputConfig(image_size=16, base_velocity=True)
+INPUTS = InputConfig(image_size=16, base_velocity=True, target_views=True)
 SCENE = Scene(
     "set_table",
     "close",

@@ -1,4 +1,4 @@
-"""The target of the hand in the control steps of a recorded episode."""
+"""Where a recorded state holds what, and the target of the hand in the control steps of an episode."""
 
 from __future__ import annotations
 
@@ -10,6 +10,16 @@ from mjhab.tasks.subtasks.registry import SUBTASKS
 
 OBJECT_KEY = "extra/obj_pose_wrt_base"
 GOAL_KEY = "extra/goal_pos_wrt_base"
+
+
+def state_columns(episode: RecordedEpisode, key: str) -> slice | None:
+    """Columns of one observation in the recorded state; None if it has none."""
+    at = 0
+    for name, width in episode.columns("obs/state").items():
+        if name == key:
+            return slice(at, at + width)
+        at += width or 1
+    return None
 
 
 def active_entries(episode: RecordedEpisode) -> np.ndarray:
@@ -32,15 +42,13 @@ def targets_in_base(episode: RecordedEpisode) -> np.ndarray:
     """
     state = episode.array("obs/state")
     found = {}
-    start = 0
-    for key, width in episode.columns("obs/state").items():
-        found[key] = state[:, start : start + (width or 1)]
-        start += width or 1
     for key in (OBJECT_KEY, GOAL_KEY):
-        if key not in found:
+        columns = state_columns(episode, key)
+        if columns is None:
             raise UsageError(
                 f"episode {episode.name} of {episode.shard.path} was recorded without {key} in its state, which views "
                 "of the target are turned to; render other images."
             )
+        found[key] = state[:, columns]
     goals = aims_at_goal(episode)[:, None]
     return np.where(goals, found[GOAL_KEY], found[OBJECT_KEY][:, :3])

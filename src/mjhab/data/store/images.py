@@ -1,4 +1,4 @@
-"""Encoding of camera images: colour as PNG or JPEG, depth and segmentation as lossless 16-bit PNG."""
+"""Encoding of camera images: colour as PNG or JPEG, all others as lossless 16-bit PNG."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _MOST = int(np.iinfo(np.uint16).max)
 
 @dataclass(frozen=True)
 class ImageFormat:
-    """Format of colour images; depth and segmentation are always lossless. quality: of JPEG, 1 to 95."""
+    """Format of colour images; all others are always lossless. quality: of JPEG, 1 to 95."""
 
     rgb: str = "png"
     quality: int = 92
@@ -42,7 +42,7 @@ class ImageFormat:
 
 
 def encode(image: np.ndarray, output: str, form: ImageFormat) -> bytes:
-    """Encode one frame: rgb (H, W, 3) uint8, or depth or seg (H, W, 1) integers from 0 to 65,535.
+    """Encode one frame: rgb (H, W, 3) uint8, or another output (H, W, 1), integers from 0 to 65,535.
 
     Raises:
         ValueError: a value is out of range.
@@ -76,7 +76,7 @@ def stored_frames(files: Mapping[str, Sequence[bytes]]) -> dict[str, np.ndarray]
 
 
 def decode(data: bytes, output: str) -> np.ndarray:
-    """Decode a frame of ``encode``: rgb (H, W, 3) uint8, depth (H, W, 1) int16, seg (H, W, 1) int32.
+    """Decode a frame of ``encode``: rgb (H, W, 3) uint8, depth (H, W, 1) int16, others (H, W, 1) int32.
 
     Raises:
         ValueError: the bytes are no such picture.

@@ -11,6 +11,7 @@ from mjhab.core.arrays import Array
 from mjhab.core.conventions.changes import change_axes, within_half_a_turn
 from mjhab.core.conventions.names import WRAPPED, Conventions
 from mjhab.core.errors import UsageError
+from mjhab.data.record.targets import state_columns
 from mjhab.data.store.older.schemas import OBJECT_POSE
 from mjhab.data.store.reading import RecordedEpisode
 from mjhab.robots.registry import robot_named
@@ -50,7 +51,7 @@ def recorded_state(episode: RecordedEpisode, conventions: Conventions) -> np.nda
 
 def _turn_object(episode: RecordedEpisode, state: np.ndarray, want: Conventions) -> None:
     """Convert the pose of the object in ``state`` (N+1, D), in place."""
-    columns = _columns(episode, OBJECT_POSE)
+    columns = state_columns(episode, OBJECT_POSE)
     if columns is None:
         return
     yaws = episode.scan_yaws
@@ -67,7 +68,7 @@ def _turn_object(episode: RecordedEpisode, state: np.ndarray, want: Conventions)
 
 def _turn_joints(episode: RecordedEpisode, state: np.ndarray, want: Conventions) -> None:
     """Convert the angles of joints without limits in ``state`` (N+1, D), in place."""
-    columns = _columns(episode, JOINT_POSITIONS)
+    columns = state_columns(episode, JOINT_POSITIONS)
     robot = robot_named(episode.run.robot)
     endless = robot.endless[robot.columns.upper]
     if columns is None or not any(endless):
@@ -83,13 +84,3 @@ def _turn_joints(episode: RecordedEpisode, state: np.ndarray, want: Conventions)
         )
     q = episode.array("states/qpos")[:, episode.run.layout["columns"]["robot_q"]]
     state[:, columns] = q[:, robot.columns.upper]
-
-
-def _columns(episode: RecordedEpisode, key: str) -> slice | None:
-    """Columns of one observation in the state; None if it has none."""
-    at = 0
-    for name, width in episode.columns("obs/state").items():
-        if name == key:
-            return slice(at, at + width)
-        at += width or 1
-    return None

@@ -102,3 +102,28 @@ def test_a_file_is_not_replaced_unasked(chains: Path, found: SpawnSet) -> None:
     with pytest.raises(UsageError, match="overwrite"):
         mjhab.chain_starts(chains, subtask="open", out=found.path)
     assert len(mjhab.chain_starts(chains, subtask="open", out=found.path, overwrite=True))
+
+
+def test_a_filter_chooses_among_episodes_of_several_environments(
+    chains: Path, tmp_path: Path
+) -> None:
+    other = tmp_path / "other"
+    mjhab.generate(
+        "zero",
+        task="tidy_house",
+        home="builtin_m0_00",
+        episodes=1,
+        horizon=4,
+        worlds=1,
+        profile="ms_hab",
+        navigate="teleport",
+        out=other,
+    )
+    both = (chains, other)
+    with pytest.raises(UsageError) as error:
+        mjhab.chain_starts(both, subtask="open", out=tmp_path / "s.npz")
+    assert "'set_table'" in str(error.value) and "'tidy_house'" in str(error.value)
+    found = mjhab.chain_starts(
+        both, subtask="open", where="task == 'set_table'", out=tmp_path / "s.npz"
+    )
+    assert len(found) == EPISODES

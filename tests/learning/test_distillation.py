@@ -31,7 +31,9 @@ class Correcting(Steady):
 
     executed: np.ndarray | None = None
 
-    def replace_action(self, actions: np.ndarray) -> None:
+    def replace_action(self, actions: np.ndarray, replan: bool = False) -> None:
+        # The rest of a chunk led from an action that was not executed.
+        assert replan
         self.executed = actions
 
 

@@ -73,6 +73,20 @@ def test_what_it_does_in_an_episode_does_not_depend_on_the_other_worlds(
     np.testing.assert_array_equal(few, many[:, :3])
 
 
+def test_a_policy_whose_action_was_replaced_plans_anew() -> None:
+    acting, corrected = (
+        StudentPolicy(make_student(config(chunk=4, execute=3), layout()), fake_env(2))
+        for _ in range(2)
+    )
+    for policy in (acting, corrected):
+        policy.reset(np.ones(2, bool))
+    first = acting.act(*scene(2, 0))
+    np.testing.assert_array_equal(first, corrected.act(*scene(2, 0)))
+    corrected.replace_action(first, replan=True)
+    # The same was executed: only the one that plans anew looks at what it sees now.
+    assert (acting.act(*scene(2, 1)) != corrected.act(*scene(2, 1))).any()
+
+
 def test_the_first_actions_of_every_chunk_are_executed(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

@@ -291,11 +291,11 @@ class PoliciesBySubtask:
                 actions[mine] = policy.act(obs, about)[mine]
         return actions
 
-    def replace_action(self, actions: np.ndarray) -> None:
-        """Tell that ``actions`` (W, A) are executed instead of those that ``act`` returned last."""
+    def replace_action(self, actions: np.ndarray, replan: bool = False) -> None:
+        """See `rollout.policy.Correctable`."""
         for policy in self._policies:
             if isinstance(policy, Correctable):
-                policy.replace_action(actions)
+                policy.replace_action(actions, replan)
 
     def fault(self, world: int) -> str:
         """Why the policy that acted last in a world cannot go on, "" if it can."""

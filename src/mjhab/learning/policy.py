@@ -70,9 +70,11 @@ class StudentPolicy:
         self._encoder.executed(actions)
         return actions.copy()
 
-    def replace_action(self, actions: np.ndarray) -> None:
-        """Tell that ``actions`` (W, A) are executed instead of those that ``act`` returned last."""
+    def replace_action(self, actions: np.ndarray, replan: bool = False) -> None:
+        """See `rollout.policy.Correctable`."""
         self._encoder.executed(actions.copy())
+        if replan:
+            self._step += -self._step % self.student.config.execute
 
     def _plan(
         self, worlds: np.ndarray, seen: EncodedObs, info: Mapping[str, Any]
@@ -122,7 +124,7 @@ class StudentEnsemble:
         self.replace_action(actions)
         return actions
 
-    def replace_action(self, actions: np.ndarray) -> None:
-        """See `StudentPolicy.replace_action`."""
+    def replace_action(self, actions: np.ndarray, replan: bool = False) -> None:
+        """See `rollout.policy.Correctable`."""
         for member in self.members:
-            member.replace_action(actions)
+            member.replace_action(actions, replan)

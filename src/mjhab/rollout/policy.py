@@ -92,8 +92,11 @@ class Selective(Protocol):
 class Correctable(Protocol):
     """A policy that can be told that other actions are executed than those it returned: it sees its previous action."""
 
-    def replace_action(self, actions: np.ndarray) -> None:
-        """Tell that ``actions`` (W, A) are executed instead of those that ``act`` returned last."""
+    def replace_action(self, actions: np.ndarray, replan: bool = False) -> None:
+        """Tell that ``actions`` (W, A) are executed instead of those that ``act`` returned last.
+
+        ``replan``: what was planned for the next steps led from those, and is dropped.
+        """
         ...
 
 

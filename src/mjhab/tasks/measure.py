@@ -38,7 +38,7 @@ from mjhab.tasks.signals import (
 )
 from mjhab.tasks.subtasks.registry import PADDING, SUBTASKS, force_limits, properties
 from mjhab.tasks.subtasks.spec import Measure
-from mjhab.tasks.success import masks
+from mjhab.tasks.success import holding_checks, masks
 from mjhab.tasks.thresholds import TaskConfig
 
 
@@ -287,8 +287,7 @@ def measure(
         "slightly_closed": slightly_closed,
         "near": near,
         "oriented": oriented,
-        "let_go": ~is_grasped,
-        "hold_ok": is_grasped | ~active.must_hold,
+        **holding_checks(is_grasped, active.must_hold),
     }
     rows = [found[name] for name in CHECKS]
     checks = pile(_own_measures(rows, state, active, config)) & active.applies

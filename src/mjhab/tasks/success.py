@@ -13,6 +13,7 @@ from mjhab.tasks.signals import CHECKS, Signals
 from mjhab.tasks.subtasks.registry import SUBTASKS, check_kinds
 from mjhab.tasks.subtasks.spec import COMMON_CHECKS
 
+FORCE_CHECK = "force_ok"
 _NEVER_TRUE = "at_goal"
 """Condition of a finished plan, for which this check is always False: a finished plan does not succeed again."""
 
@@ -58,12 +59,14 @@ def succeeds_whatever_force(signals: Signals) -> Array:
 
     Evaluations that go on after this limit was exceeded and look at the other conditions count it as a success.
     """
-    # The conditions that are no fields of `Signals`, as `measure` computes them.
-    more = {
-        "let_go": ~signals.is_grasped,
-        "hold_ok": signals.is_grasped | ~signals.must_hold,
-        "force_ok": signals.success == signals.success,
-    }
-    rows = [more[name] if name in more else getattr(signals, name) for name in CHECKS]
+    # They are no fields of `Signals`.
+    held = holding_checks(signals.is_grasped, signals.must_hold)
+    rows = [held[name] if name in held else getattr(signals, name) for name in CHECKS]
     _, optional = masks(signals.kind, ignore_arm=False)
-    return (pile(rows) | optional).all(0)
+    others = [row for row, name in enumerate(CHECKS) if name != FORCE_CHECK]
+    return (pile(rows) | optional)[others].all(0)
+
+
+def holding_checks(is_grasped: Array, must_hold: Array) -> dict[str, Array]:
+    """The checks (W,) of CHECKS about what is held, by name."""
+    return {"let_go": ~is_grasped, "hold_ok": is_grasped | ~must_hold}

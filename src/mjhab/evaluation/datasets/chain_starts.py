@@ -17,6 +17,7 @@ from mjhab.config.env import EnvConfig
 from mjhab.core.errors import UsageError, unknown_name
 from mjhab.core.names import kind_of
 from mjhab.data.record.batches import batches
+from mjhab.data.select.sets import nothing_passes
 from mjhab.data.store.places import entries
 from mjhab.data.store.reading import RecordedEpisode
 from mjhab.episodes.episode import Episode
@@ -112,13 +113,16 @@ def make_chain_starts(spec: ChainStartsSpec) -> SpawnSet:
 
 
 def _common_options(spec: ChainStartsSpec) -> dict[str, Any]:
-    """Options of the environment of the episodes: those of `_SAME`, and the subtask.
+    """Options of the environment of the episodes that pass the filter: those of `_SAME`, and the subtask.
 
     Raises:
-        UsageError: they were recorded with several.
+        UsageError: they were recorded with several, or none passes.
     """
     found: dict[str, Any] = {}
+    where = spec.filter()
     for entry in entries(spec.places):
+        if where is not None and not where(entry.record, entry.run):
+            continue
         given = entry.run.config.get("env") or {}
         for name in (*_SAME, "subtask"):
             value = given.get(name, getattr(EnvConfig, name, ""))
@@ -127,6 +131,8 @@ def _common_options(spec: ChainStartsSpec) -> dict[str, Any]:
                     f"the episodes have {name} {found[name]!r} and {value!r}; a spawn set has one: make a set of each, "
                     "for instance with --where."
                 )
+    if not found:
+        raise nothing_passes()
     return found
 
 

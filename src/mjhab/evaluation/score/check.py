@@ -17,7 +17,7 @@ from mjhab.evaluation.score.actions import Replayed, StartKeeper, unpacked_actio
 from mjhab.evaluation.score.capabilities import capabilities_of
 from mjhab.evaluation.score.manifest import ScoreHomes, ScoreRow
 from mjhab.evaluation.score.result import ScoreResult
-from mjhab.evaluation.score.run import check_rules
+from mjhab.evaluation.score.run import check_rules, row_options
 from mjhab.evaluation.score.summary import ScoredEpisode
 from mjhab.rollout.loop import rollout
 from mjhab.scenes.pack_source import Assets
@@ -115,14 +115,8 @@ def _check_row(
     options["profile"] = asked.profile
     spec = EvalSpec.of(
         policy="zero",
-        task=row.task,
-        subtask=row.subtask or None,
-        target=row.target or None,
-        episodes=row.episodes,
+        **row_options(asked, row, seed, assets),
         worlds=min(len(episodes), 8),
-        seed=seed,
-        split=asked.split,
-        assets=assets,
         films=0,
     )
     env = make_env(spec, options)

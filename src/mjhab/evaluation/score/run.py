@@ -36,6 +36,7 @@ from mjhab.robots.registry import DEFAULT_ROBOT
 from mjhab.rollout.loop import plain
 from mjhab.rollout.records import EpisodeRecord
 from mjhab.rollout.sinks import Sink
+from mjhab.scenes.pack_source import Assets
 
 FREE_OPTIONS = frozenset(
     {
@@ -119,20 +120,32 @@ def evaluation_of(
     out = spec.folder / "runs" / folder_name(asked, row, seed)
     return EvalSpec.of(
         policy=spec.policy,
-        task=row.task,
-        subtask=row.subtask or None,
-        target=row.target or None,
-        episodes=min(row.episodes, spec.episodes or row.episodes),
+        **{
+            **row_options(asked, row, seed, spec.asked.assets),
+            "episodes": min(row.episodes, spec.episodes or row.episodes),
+        },
         worlds=spec.asked.num_envs,
-        seed=seed,
-        split=asked.split,
-        assets=spec.asked.assets,
         threads=spec.asked.threads,
         films=spec.films,
         out=out,
         resume=out.exists(),
         env=options,
     )
+
+
+def row_options(
+    asked: Manifest, row: ScoreRow, seed: int, assets: Assets
+) -> dict[str, Any]:
+    """Options of `EvalSpec.of` that say which episodes those of a row and a seed are."""
+    return {
+        "task": row.task,
+        "subtask": row.subtask or None,
+        "target": row.target or None,
+        "episodes": row.episodes,
+        "seed": seed,
+        "split": asked.split,
+        "assets": assets,
+    }
 
 
 def facts_for(

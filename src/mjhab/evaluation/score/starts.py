@@ -17,6 +17,7 @@ from mjhab.evaluation.score.manifest import (
     start_digest,
     starts_key,
 )
+from mjhab.evaluation.score.run import row_options
 from mjhab.scenes.pack_source import Assets
 
 
@@ -74,14 +75,8 @@ def _starts_of(
 ) -> list[str]:
     spec = EvalSpec.of(
         policy="zero",
-        task=row.task,
-        subtask=row.subtask or None,
-        target=row.target or None,
-        episodes=row.episodes,
+        **row_options(asked, row, seed, assets),
         worlds=worlds,
-        seed=seed,
-        split=asked.split,
-        assets=assets,
         threads=threads,
     )
     env = make_env(spec, {"profile": asked.profile})

@@ -160,7 +160,7 @@ class Relabelling:
             return self._wanted.copy()
         actions = self._student.act(obs, info)
         if isinstance(self._teacher, Correctable):
-            self._teacher.replace_action(actions)
+            self._teacher.replace_action(actions, replan=True)
         return actions
 
     def notes(self) -> ActionNotes:

@@ -81,7 +81,7 @@ class _Planned:
 
 
 @dataclass(frozen=True, eq=False)
-class _Made:
+class _EpisodePlans:
     """What one episode gives: its scene and file, plans by kind of subtask, the whole task, plans left out."""
 
     scene: str
@@ -114,7 +114,7 @@ def make_plans(
     """
     factory = _Factory(config, out, subtasks)
 
-    def made(index: int) -> _Made:
+    def made(index: int) -> _EpisodePlans:
         found = factory.make(index)
         if tell is not None:
             tell()
@@ -167,7 +167,7 @@ class _Factory:
                 limits = task_config(own, self.layout.robot)
                 self.starts[name] = StartMaker(self.sim, own, limits)
 
-    def make(self, index: int) -> _Made:
+    def make(self, index: int) -> _EpisodePlans:
         """Make the plans of an episode, and write its file."""
         config = self.config
         episode = self.source.episode(config.seed, index)
@@ -200,7 +200,7 @@ class _Factory:
             target = "" if subtask.type == "navigate" else kind_of(about).split("/")[0]
             entry = SpawnedStates(starts).entry(episode, subtask, start.qpos)
             singles[own.name].append(_Planned(subtask, entry, target))
-        return _Made(f"{home.name}{SCENE_SUFFIX}", name, singles, whole, left_out)
+        return _EpisodePlans(f"{home.name}{SCENE_SUFFIX}", name, singles, whole, left_out)
 
     def _corners(self, home: Home, goal: tuple[float, float, float]) -> list[list[float]]:
         """Corners of the surface below a goal [m], world frame, in order around it."""
@@ -211,7 +211,7 @@ class _Factory:
         return [[x, y, height] for x, y in zone(goal, receptacles, tolerance)]
 
     def write_singles(
-        self, kind: str, singles: Sequence[tuple[_Made, _Planned]]
+        self, kind: str, singles: Sequence[tuple[_EpisodePlans, _Planned]]
     ) -> list[Path]:
         """Write the plans of a kind of subtask, all and by target, and their spawns."""
         plans: dict[str, list[TaskPlan]] = defaultdict(list)
@@ -229,7 +229,7 @@ class _Factory:
             write_spawn_data(files[-1], spawns)
         return files
 
-    def write_whole(self, parts: Sequence[_Made]) -> Path:
+    def write_whole(self, parts: Sequence[_EpisodePlans]) -> Path:
         """Write the plans of whole tasks."""
         plans = []
         for number, part in enumerate(parts):

@@ -27,14 +27,14 @@ PROFILE = "ms_hab"
 
 
 @dataclass(frozen=True)
-class Setting:
+class DrawnWorlds:
     """``worlds``: the environment of ours. ``draw``: which episodes its worlds get."""
 
     worlds: TaskLoop
     draw: PlanDraw | OwnDraw
 
 
-def open_setting(arguments: Arguments) -> Setting:
+def open_setting(arguments: Arguments) -> DrawnWorlds:
     """Make the environment of ours, with the values of profile "ms_hab".
 
     Raises:
@@ -51,8 +51,8 @@ def open_setting(arguments: Arguments) -> Setting:
         options["starts"] = sum(map(starts.spawns, range(len(starts.plans))))
     worlds = make(**options)
     if starts is None:
-        return Setting(worlds, OwnDraw(arguments.num_envs))
-    return Setting(worlds, PlanDraw(arguments, starts, home_numbers(starts.plans)))
+        return DrawnWorlds(worlds, OwnDraw(arguments.num_envs))
+    return DrawnWorlds(worlds, PlanDraw(arguments, starts, home_numbers(starts.plans)))
 
 
 def home_numbers(plans: Any) -> dict[str, int]:

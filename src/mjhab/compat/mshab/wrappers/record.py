@@ -72,9 +72,13 @@ class RecordEpisode(ForwardingWrapper):
         avoid_overwriting_video: bool = False,
         source_type: str | None = None,
         source_desc: str | None = None,
-        **_: Any,
+        render_substeps: bool = False,
     ) -> None:
         super().__init__(env)
+        if render_substeps:
+            raise UsageError(
+                "render_substeps=True: films have a picture per control step; leave it out."
+            )
         base = self.base_env
         if save_video and base.num_envs > 1 and max_steps_per_video is None:
             raise UsageError(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -12,8 +13,24 @@ import pytest
 import mjhab
 from mjhab.core.errors import UsageError
 from mjhab.evaluation.evaluate import close_policy
-from mjhab.learning.by_subtask import Entry, PoliciesBySubtask, entries_text, read_entries
+from mjhab.evaluation.resolve import (
+    NoPolicyError,
+    full_spec,
+    inspect_policy,
+    open_policy,
+    resolve_policy,
+)
+from mjhab.evaluation.score.manifest import manifest
+from mjhab.evaluation.score.run import facts_for
+from mjhab.learning.assigned.entries import Entry
+from mjhab.learning.assigned.files import entries_text, read_entries
+from mjhab.learning.by_subtask import PoliciesBySubtask, PoliciesFile
+from mjhab.learning.checkpoint import save_student
+from mjhab.learning.policy import StudentPolicy
 from mjhab.learning.policy_kind import joined
+from mjhab.learning.students.heads import make_student
+from tests.learning.small import config, fake_env, layout
+from tests.refusals import refused
 
 PLAN = [
     {"kind": "navigate", "target": "024_bowl_:0000"},
@@ -203,3 +220,93 @@ def test_files_of_policies_are_read_and_refused(tmp_path: Path) -> None:
             read_entries(path)
     with pytest.raises(UsageError, match="does not exist"):
         read_entries(tmp_path / "other.json")
+
+
+def policies_file(path: Path, *rows: tuple[str, str, str, str]) -> str:
+    """A file of policies from (task, subtask, target, policy)."""
+    names = ("task", "subtask", "target", "checkpoint")
+    listed = [dict(zip(names, row, strict=True)) for row in rows]
+    path.write_text(json.dumps({"policies": listed}), encoding="utf-8")
+    return str(path)
+
+
+def entries_for(spec: str, task: str, subtask: str, target: str) -> list[tuple[str, str]]:
+    """Target and policy of the entries that act."""
+    opened = open_policy(full_spec(spec, task, subtask, target))
+    assert isinstance(opened, PoliciesFile)
+    return [(entry.target, entry.checkpoint) for entry in opened.entries]
+
+
+def test_each_row_has_its_own_policy(tmp_path: Path) -> None:
+    spec = policies_file(
+        tmp_path / "mine.json",
+        ("", "pick", "", "zero"),
+        ("set_table", "pick", "", "random"),
+        ("set_table", "pick", "024_bowl", "expert"),
+        ("set_table", "open", "fridge/top_door", "expert"),
+    )
+    assert entries_for(spec, "tidy_house", "pick", "") == [("", "zero")]
+    assert entries_for(spec, "set_table", "pick", "013_apple") == [("", "random")]
+    assert entries_for(spec, "set_table", "pick", "024_bowl") == [("024_bowl", "expert")]
+    both = [("", "random"), ("024_bowl", "expert")]
+    assert entries_for(spec, "set_table", "pick", "") == both
+    assert sorted(entries_for(spec, "set_table", "", "")) == sorted(
+        [*both, ("fridge/top_door", "expert")]
+    )
+    # Another row's policy is no part of what a run is.
+    one = inspect_policy(full_spec(spec, "set_table", "pick", "024_bowl"))
+    other = inspect_policy(full_spec(spec, "set_table", "pick", "013_apple"))
+    assert one.name == other.name == "mine" and one.identity != other.identity
+    with pytest.raises(
+        NoPolicyError, match=r"no policy for set_table close .*for: pick, set_table pick"
+    ):
+        entries_for(spec, "set_table", "close", "fridge/top_door")
+    asked = manifest("ms_hab_7")
+    having = [row for row in asked.rows if facts_for(spec, row, asked.profile)]
+    assert [row.name for row in having] == [
+        "set_table.pick.013_apple",
+        "set_table.pick.024_bowl",
+        "set_table.open.fridge-top_door",
+    ]
+
+
+def test_a_folder_of_training_runs_is_a_file_of_policies(tmp_path: Path) -> None:
+    def write(path: Path, *scenes: tuple[str, str, str]) -> None:
+        path.parent.mkdir(exist_ok=True)
+        names = ("task", "subtask", "target")
+        told = [
+            {**dict(zip(names, scene, strict=True)), "split": "train"} for scene in scenes
+        ]
+        about = {"scene": told[0], "also": told[1:]} if told else {}
+        save_student(path, make_student(config(), layout()), about)
+
+    close = ("set_table", "close", "kitchen_counter/drawer3")
+    run = tmp_path / "run" / "student.safetensors"
+    write(run, ("set_table", "pick", ""), ("tidy_house", "pick", ""))
+    write(run.with_name("training.safetensors"), close)
+    write(tmp_path / "drawer.safetensors", close)
+    spec = str(tmp_path)
+    drawer = str(tmp_path / "drawer.safetensors")
+    assert entries_for(spec, "tidy_house", "pick", "") == [("", str(run))]
+    assert entries_for(spec, *close) == [(close[2], drawer)]
+    assert entries_for(str(run.parent), "set_table", "pick", "024_bowl") == [
+        ("", str(run))
+    ]
+    env = fake_env(1)
+    task, subtask, target = close
+    env.config = SimpleNamespace(
+        **vars(env.config), task=task, subtask=subtask, target=target
+    )
+    # A script may name the folder alone.
+    policy = resolve_policy(spec, env)
+    assert isinstance(policy, PoliciesBySubtask)
+    assert isinstance(policy.acting_policies[0], StudentPolicy)
+    write(tmp_path / "again" / "student.safetensors", close)
+    with pytest.raises(UsageError, match=r"two policies for set_table close .*leave one"):
+        entries_for(spec, *close)
+    write(tmp_path / "again" / "student.safetensors")
+    with pytest.raises(UsageError, match="does not say what it was trained for"):
+        entries_for(spec, *close)
+    (tmp_path / "empty").mkdir()
+    with refused("policy", str(tmp_path / "empty")):
+        entries_for(str(tmp_path / "empty"), *close)

@@ -16,7 +16,8 @@ from mjhab.evaluation.evaluate import EvalSpec, resolved_config
 from mjhab.evaluation.generate import resolved_config as generated_config
 from mjhab.evaluation.resolve import inspect_policy, resolve_policy
 from mjhab.evaluation.specs import GenerateSpec
-from mjhab.learning.by_subtask import Entry, entries_text
+from mjhab.learning.assigned.entries import Entry
+from mjhab.learning.assigned.files import entries_text
 from mjhab.learning.checkpoint import load_checkpoint, save_student, save_tensors
 from mjhab.learning.observation.depth import nearness, pooled
 from mjhab.learning.observation.encoder import EncodedObs, ObservationEncoder

@@ -14,6 +14,7 @@ from mjhab.core.errors import UsageError
 from mjhab.evaluation.evaluate import EvalSpec, describe_policy, resolved_config
 from mjhab.evaluation.resolve import full_spec, inspect_policy, resolve_policy
 from mjhab.learning import shipped_kind
+from mjhab.learning.assigned.entries import trained_for
 from mjhab.learning.checkpoint import load_checkpoint, load_student, save_student
 from mjhab.learning.policy import StudentEnsemble
 from mjhab.learning.policy_kind import members
@@ -176,8 +177,8 @@ def test_what_is_shipped_is_small_acts_and_says_where_it_learned() -> None:
             student = load_student(path)
             about = load_checkpoint(path).about
             scene = about["scene"]
-            learned = shipped_kind.scenes_of(about)
-            assert name in [shipped_kind.file_name(**one) for one in learned]
+            learned = trained_for(path, about)
+            assert name in [shipped_kind.file_name(**vars(one)) for one in learned]
             assert (scene["profile"], student.layout.profile) == ("ms_hab", "ms_hab")
             assert scene["assets"] == "builtin"
 

@@ -10,9 +10,11 @@ import importlib
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any, cast
 
 from mjhab.core.errors import UsageError, unknown_name
+from mjhab.core.files.reading import is_folder
 from mjhab.rollout.policy import Policy, RolloutEnv
 from mjhab.tasks.style import Styles
 
@@ -24,6 +26,31 @@ LEARNED = "learned"
 STUDENT = "student"
 LEARNED_NAMES = (LEARNED, STUDENT)
 """Name of the checkpoints that come with the package, and the old one; `full_spec` adds task, subtask and target."""
+POLICIES_SUFFIX = ".json"
+"""Of files that name several policies."""
+
+
+class NoPolicyError(UsageError):
+    """A specification that names several policies has none for what is to be done."""
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """What a policy is to do: a subtask on a target ("" for all targets), or a whole task (subtask "")."""
+
+    task: str
+    subtask: str = ""
+    target: str = ""
+
+    @classmethod
+    def parse(cls, text: str) -> Wanted:
+        """Read ``TASK/SUBTASK/TARGET``; a target may have slashes of its own."""
+        task, _, rest = text.partition("/")
+        subtask, _, target = rest.partition("/")
+        return cls(task, subtask, target)
+
+    def __str__(self) -> str:
+        return f"{self.task}/{self.subtask}/{self.target}"
 
 
 @dataclass(frozen=True)
@@ -169,8 +196,14 @@ POLICY_KINDS: list[PolicyKind] = [
     ),
     PolicyKind(
         "POLICIES.json",
-        lambda spec: spec.endswith(".json"),
+        lambda spec: wanted_of(spec)[0].endswith(POLICIES_SUFFIX),
         "mjhab.learning.by_subtask:PoliciesFile",
+        takes_instruction=True,
+    ),
+    PolicyKind(
+        "FOLDER",
+        lambda spec: is_folder(Path(wanted_of(spec)[0])),
+        "mjhab.learning.by_subtask:PoliciesFolder",
         takes_instruction=True,
     ),
     PolicyKind(
@@ -236,10 +269,25 @@ def check_style(policy: object, style: Sequence[str]) -> None:
 
 
 def full_spec(spec: str, task: str, subtask: str | None, target: str | None) -> str:
-    """Add task, subtask and target to the specification "learned", or "student" as it was called; keep others."""
-    if spec not in LEARNED_NAMES:
+    """Add what is to be done to a specification that names several policies; keep others.
+
+    These are "learned", or "student" as it was called, a file of policies and a folder of them.
+    """
+    if spec not in LEARNED_NAMES and not _names_several(spec):
         return spec
-    return f"{spec}:{task}/{subtask or ''}/{target or ''}"
+    return f"{spec}:{Wanted(task, subtask or '', target or '')}"
+
+
+def wanted_of(spec: str) -> tuple[str, Wanted | None]:
+    """What `full_spec` was given: the file or folder of policies, and what is to be done; None if nothing was added."""
+    head, _, tail = spec.rpartition(":")
+    return (head, Wanted.parse(tail)) if _names_several(head) else (spec, None)
+
+
+def _names_several(spec: str) -> bool:
+    if spec in NAMED_POLICIES or not spec:
+        return False
+    return spec.endswith(POLICIES_SUFFIX) or is_folder(Path(spec))
 
 
 def _kind_of(spec: str) -> PolicyKind:

@@ -63,10 +63,10 @@ class EvalSpec(EnvSpec):
 
     policy: PolicyName = "expert"
     """The policy: expert (scripted, reads the simulator state), learned (a trained one of the package, with --subtask
-    and --target), random, zero (stands still), a CHECKPOINT.safetensors, POLICIES.json with one policy per
-    subtask, ms_hab:CHECKPOINT.pt of MS-HAB (see docs/ms_hab.md), your own: FILE.py:CLASS (see docs/evaluation.md),
-    or one that is served elsewhere: ws://host:port (see docs/serving.md). In Python also an object, a class or a
-    function that makes one."""
+    and --target), random, zero (stands still), a CHECKPOINT.safetensors, a POLICIES.json or a FOLDER
+    of training runs with one policy per subtask, ms_hab:CHECKPOINT.pt of MS-HAB (see docs/ms_hab.md), your own:
+    FILE.py:CLASS (see docs/evaluation.md), or one that is served elsewhere: ws://host:port (see docs/serving.md). In
+    Python also an object, a class or a function that makes one."""
     style: Annotated[tuple[str, ...], Flag(metavar="NAME=VALUE ...")] = ()
     """Style of the expert, e.g. speed=0.5..1.0 grasp=side release=drop noise=0.05; every episode draws its own value
     from a range or a list (a,b). Names: speed, grasp, release, drop_height, close, pull, open_further, waits,

@@ -1,9 +1,8 @@
-"""A separate policy for each subtask of a chain: ``--policy POLICIES.json``. See `evaluation.resolve.OpenedPolicy`.
+"""A separate policy for each subtask: ``--policy POLICIES.json`` or a folder. See `evaluation.resolve.OpenedPolicy`.
 
-The file is ``{"policies": [{"subtask": "pick", "target": "024_bowl", "checkpoint": "pick.safetensors"}, ...]}``; its
-paths are relative to its folder. In place of a checkpoint an entry may name any other policy, as for ``--policy``:
-``"expert"``, ``"ms_hab:pick.pt"``, ``"mine.py:Mine"``. An entry with the target "" applies to all targets without an
-entry of their own. Navigate needs no policy in an environment that teleports the robot.
+`evaluation.resolve.full_spec` adds what is to be done, for instance ``runs/mine.json:set_table/open/fridge/top_door``:
+of the policies of a file or a folder only those that act there are opened and belong to the identity of the run.
+Navigate needs no policy in an environment that teleports the robot.
 """
 
 from __future__ import annotations
@@ -12,7 +11,7 @@ import hashlib
 import json
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, cast
@@ -20,111 +19,23 @@ from typing import Any, cast
 import numpy as np
 
 from mjhab.core.errors import UsageError
-from mjhab.core.files.reading import beside, is_file, read_json_object
 from mjhab.core.names import kind_of
-from mjhab.core.typed.options import read_record
 from mjhab.evaluation.evaluate import close_policy
 from mjhab.evaluation.resolve import (
     EXPERT,
-    LEARNED,
-    LEARNED_NAMES,
-    MS_HAB_PREFIX,
-    NAMED_POLICIES,
     OpenedPolicy,
     PolicyFacts,
     PolicyOptions,
+    full_spec,
     open_policy,
+    wanted_of,
 )
 from mjhab.learning import policy_kind
+from mjhab.learning.assigned.entries import Entry, chosen
+from mjhab.learning.assigned.files import entries_in, read_entries
 from mjhab.rollout.policy import Correctable, Fallible, Policy, RolloutEnv, Selective
 from mjhab.tasks.household.registry import TASKS
 from mjhab.tasks.subtasks.registry import SUBTASKS
-
-SUFFIX = ".json"
-WITHOUT_FILE = (*(f"{name}:" for name in LEARNED_NAMES), "ws://", "wss://")
-"""Beginnings of specifications that name no file."""
-_FIELDS = ("subtask", "target", "checkpoint")
-
-
-@dataclass(frozen=True)
-class Entry:
-    """A policy for a subtask and a type of target ("" for all targets).
-
-    checkpoint: a file of `mjhab train`, several joined by "+" (see `policy_kind`), or another specification as for
-    ``--policy``, such as "expert".
-    """
-
-    subtask: str
-    target: str
-    checkpoint: str
-
-
-def read_entries(path: Path) -> tuple[Entry, ...]:
-    """Read a policies file.
-
-    Raises:
-        UsageError: the file does not exist or has another format, a subtask is unknown, or two entries name one.
-    """
-    if not is_file(path):
-        raise UsageError(
-            f"{path} does not exist; give a JSON file that names one checkpoint per subtask."
-        )
-    try:
-        rows = read_record(
-            tuple[Entry, ...], read_json_object(path).get("policies"), "policies"
-        )
-        entries = tuple(
-            replace(row, checkpoint=_beside(path, row.checkpoint)) for row in rows
-        )
-    except ValueError as error:
-        raise UsageError(
-            f'{path} must hold {{"policies": [{{{", ".join(_FIELDS)}}}, ...]}}. {error}'
-        ) from error
-    seen: set[tuple[str, str]] = set()
-    for entry in entries:
-        SUBTASKS.check(entry.subtask)
-        place = (entry.subtask, entry.target)
-        if place in seen:
-            row = f"{entry.subtask} {entry.target or 'of all targets'}"
-            raise UsageError(f"{path} names two policies for {row}; leave one out.")
-        seen.add(place)
-    return entries
-
-
-def _beside(path: Path, spec: str) -> str:
-    """The specification of an entry, with its files below the folder of the policies file.
-
-    Raises:
-        UsageError: it is another policies file, or a student of the package without what it does.
-        ValueError: it names a file that cannot be.
-    """
-    if spec in LEARNED_NAMES:
-        raise UsageError(f"{path}: say which policy: {LEARNED}:TASK/SUBTASK/TARGET.")
-    if spec.endswith(SUFFIX):
-        raise UsageError(
-            f"{path}: an entry names one policy, not another policies file ({spec})."
-        )
-    if spec in NAMED_POLICIES or spec.startswith(WITHOUT_FILE):
-        return spec
-    prefix = MS_HAB_PREFIX if spec.startswith(MS_HAB_PREFIX) else ""
-    files = policy_kind.members(spec.removeprefix(prefix))
-    return prefix + policy_kind.AND.join(str(beside(path, str(file))) for file in files)
-
-
-def entries_text(path: Path, entries: Sequence[Entry]) -> str:
-    """Text of a policies file at ``path``; the checkpoints must lie below its folder."""
-    rows = [
-        {
-            "subtask": entry.subtask,
-            "target": entry.target,
-            "checkpoint": policy_kind.AND.join(
-                str(member.relative_to(path.parent))
-                for member in policy_kind.members(entry.checkpoint)
-            ),
-        }
-        for entry in entries
-    ]
-    return json.dumps({"policies": rows}, indent=1) + "\n"
 
 
 class PoliciesTogether(OpenedPolicy):
@@ -219,10 +130,44 @@ class PoliciesTogether(OpenedPolicy):
 class PoliciesFile(PoliciesTogether):
     """The policies of a file."""
 
+    @property
+    def place(self) -> Path:
+        """The file or folder."""
+        return Path(wanted_of(self.spec)[0])
+
+    @property
+    def name(self) -> str:
+        """Name of the file or folder."""
+        return self.place.resolve().stem
+
     @cached_property
     def entries(self) -> tuple[Entry, ...]:
-        """The entries of the file, see `read_entries`."""
-        return read_entries(Path(self.spec))
+        """The entries for what is to be done.
+
+        Raises:
+            UsageError: the policies cannot be read, or there is none for it, see `chosen`.
+        """
+        return chosen(str(self.place), self.read(), wanted_of(self.spec)[1])
+
+    def read(self) -> tuple[Entry, ...]:
+        """All entries, see `read_entries`."""
+        return read_entries(self.place)
+
+    def _build(self, env: RolloutEnv, options: PolicyOptions) -> Policy:
+        config = cast(Any, env).config
+        told = full_spec(self.spec, config.task, config.subtask, config.target)
+        # A script may name the file alone: the environment tells what is to be done.
+        if told != self.spec:
+            return type(self)(told)._build(env, options)
+        return super()._build(env, options)
+
+
+class PoliciesFolder(PoliciesFile):
+    """The policies of a folder, each for what it was trained for."""
+
+    def read(self) -> tuple[Entry, ...]:
+        """All of them, see `entries_in`."""
+        return entries_in(self.place)
 
 
 def _built(opened: OpenedPolicy, env: RolloutEnv, options: PolicyOptions) -> Policy:

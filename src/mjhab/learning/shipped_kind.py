@@ -9,21 +9,23 @@ from __future__ import annotations
 
 import dataclasses
 import re
-from collections.abc import Mapping
 from functools import cached_property
 from pathlib import Path
 from typing import Any, cast
 
-from mjhab.core.errors import UsageError, unknown_name
+from mjhab.core.errors import unknown_name
 from mjhab.core.files.reading import read_json_object
 from mjhab.evaluation.resolve import (
     EXPERT,
+    NoPolicyError,
     OpenedPolicy,
     PolicyFacts,
     PolicyOptions,
+    Wanted,
     open_policy,
 )
-from mjhab.learning.by_subtask import Entry, PoliciesTogether
+from mjhab.learning.assigned.entries import Entry, trained_for
+from mjhab.learning.by_subtask import PoliciesTogether
 from mjhab.learning.policy_kind import AND, CHECKPOINT_SUFFIX, CheckpointFiles
 from mjhab.learning.require import require_learn
 from mjhab.rollout.policy import Policy, RolloutEnv
@@ -59,7 +61,8 @@ def shipped_path(task: str, subtask: str, target: str) -> str:
     """The checkpoint for a subtask on a target: one for this target alone, else one for all.
 
     Raises:
-        UsageError: a name is unknown, or there is no such student; the message lists the existing ones.
+        UsageError: a name is unknown.
+        NoPolicyError: there is no such student; the message lists the existing ones.
     """
     objects = TASKS[task].object_types
     kind = SUBTASKS[subtask]
@@ -70,30 +73,17 @@ def shipped_path(task: str, subtask: str, target: str) -> str:
         if name in there:
             return there[name]
     if not target:
-        raise UsageError(
+        raise NoPolicyError(
             f"give --target, or another subtask. The package has students for: {_listed()}; train others with "
             "`mjhab train`."
         )
-    raise unknown_name("student of this package", file_name(task, subtask, target), there)
-
-
-def scenes_of(about: Mapping[str, Any]) -> list[dict[str, str]]:
-    """Task, subtask and target of everything that a checkpoint was trained for, from what its file says."""
-    return [
-        {key: scene[key] for key in ("task", "subtask", "target")}
-        for scene in (about["scene"], *about.get("also", ()))
-    ]
+    name = file_name(task, subtask, target)
+    said = unknown_name("student of this package", name, there)
+    raise NoPolicyError(str(said), option=said.option, given=name, expected=said.expected)
 
 
 def _listed() -> str:
     return ", ".join(shipped()) or "nothing"
-
-
-def _parts(spec: str) -> tuple[str, str, str]:
-    """Task, subtask and target of ``learned:TASK/SUBTASK/TARGET``; empty where they are not given."""
-    task, _, rest = spec.partition(":")[2].partition("/")
-    subtask, _, target = rest.partition("/")
-    return task, subtask, target
 
 
 def file_name(task: str, subtask: str, target: str) -> str:
@@ -124,7 +114,7 @@ class ShippedTask(PoliciesTogether):
         require_learn()
         named = [name for name in shipped() if name.startswith(f"{self._task}.")]
         if not named:
-            raise UsageError(
+            raise NoPolicyError(
                 f"the package has no student for the task {self._task!r}, but for: {_listed()}; train others with "
                 "`mjhab train`."
             )
@@ -137,9 +127,9 @@ class ShippedTask(PoliciesTogether):
         entries = []
         for name, opened in zip(named, self.opened, strict=True):
             assert isinstance(opened, CheckpointFiles)
-            metadata = opened.content[0].about
-            scene = next(one for one in scenes_of(metadata) if file_name(**one) == name)
-            entries.append(Entry(scene["subtask"], scene["target"], opened.spec))
+            trained = trained_for(opened.paths[0], opened.content[0].about)
+            done = next(one for one in trained if file_name(**vars(one)) == name)
+            entries.append(Entry(done.subtask, done.target, opened.spec))
         return tuple(entries)
 
     def _build(self, env: RolloutEnv, options: PolicyOptions) -> Policy:
@@ -167,10 +157,10 @@ class ShippedPolicy(OpenedPolicy):
 
     @cached_property
     def _found(self) -> OpenedPolicy:
-        task, subtask, target = _parts(self.spec)
-        if not subtask:
-            return ShippedTask(self._name, task)
-        return CheckpointFiles(shipped_path(task, subtask, target))
+        wanted = Wanted.parse(self.spec.partition(":")[2])
+        if not wanted.subtask:
+            return ShippedTask(self._name, wanted.task)
+        return CheckpointFiles(shipped_path(wanted.task, wanted.subtask, wanted.target))
 
     @property
     def facts(self) -> PolicyFacts:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 from mjhab.cli.exits import stopped
 from mjhab.cli.output import Listing, print_json, report, tell_caution
@@ -42,25 +44,24 @@ def run_score(spec: ScoreSpec, json: bool) -> int:
     }
     for caution in sorted(cautions):
         tell_caution({"policy_caution": caution})
+    _tell_incomplete(result.summary)
     report(json, _facts(result), *_listings(result, spec.folder))
     # An episode that the policy could not finish says nothing of how good it is.
     return 1 if result.summary["errors"] else 0
 
 
 def _facts(result: ScoreResult) -> dict[str, object]:
+    """What machines are told; of a track that publications compare nothing else, the rest is in its files."""
     summary = result.summary
-    continuing = "score_continuing"
-    return {
-        "track": result.facts["track"],
-        "score": summary["score"],
-        **({continuing: summary[continuing]} if continuing in summary else {}),
-        "rows": {row["name"]: row["score"] for row in summary["rows"]},
-        "assets": result.facts.get("homes", {}).get("pack", "builtin"),
-        "stage": result.facts.get("homes", {}).get("stage", ""),
-        "episodes": summary["episodes"],
-        "digest": result.digest,
-        "complete": summary["complete"],
-    }
+    facts: dict[str, object] = {"track": result.facts["track"], "score": summary["score"]}
+    rows = {row["name"]: row["score"] for row in summary["rows"]}
+    homes = result.manifest.homes
+    if result.manifest.continuing:
+        facts["score_continuing"] = summary["score_continuing"]
+        return {**facts, "rows": rows, "stage": homes.stage, "digest": result.digest}
+    counts = {name: summary[name] for name in ("episodes", "complete")}
+    places = {"assets": homes.pack, "stage": homes.stage}
+    return {**facts, "rows": rows, **places, **counts, "digest": result.digest}
 
 
 def _listings(result: ScoreResult, out: Path) -> list[Listing | str]:
@@ -79,11 +80,20 @@ def _listings(result: ScoreResult, out: Path) -> list[Listing | str]:
         f"score {100 * summary['score']:.1f}{going_on} of {summary['episodes']} episodes, tainted "
         f"{summary['tainted']}, errors {summary['errors']}",
     ]
-    if not summary["complete"]:
-        parts.append(
-            f"incomplete: episodes are missing, or have another start than in the manifest ({summary['other_starts']})"
-        )
     return [*parts, f"result: {out / RESULT_FILE}"]
+
+
+def _tell_incomplete(summary: Mapping[str, Any]) -> None:
+    """Tell on stderr, for people and beside JSON, that a score cannot be compared with others."""
+    if summary["complete"]:
+        return
+    empty = [row["name"] for row in summary["rows"] if not row["done"]]
+    without = f"; none of {', '.join(empty)}" if empty else ""
+    print(
+        f"mjhab: incomplete: {summary['episodes']} episodes{without}; "
+        f"{summary['other_starts']} begin elsewhere than in the manifest",
+        file=sys.stderr,
+    )
 
 
 def run_check(spec: CheckSpec, json: bool) -> int:

@@ -15,7 +15,7 @@ from mjhab.core.errors import UsageError
 from mjhab.core.machine import cores, processor
 from mjhab.data.record.provenance import source_commit, versions
 from mjhab.evaluation.evaluate import EvalSpec, describe_policy, run_evaluation
-from mjhab.evaluation.resolve import LEARNED_NAMES, PolicyFacts, full_spec
+from mjhab.evaluation.resolve import NoPolicyError, PolicyFacts, full_spec
 from mjhab.evaluation.score.actions import ActionKeeper, kept_path
 from mjhab.evaluation.score.manifest import (
     BUILTIN_HOMES,
@@ -151,7 +151,7 @@ def row_options(
 def facts_for(
     policy: str, row: ScoreRow, rules: str = DEFAULT_PROFILE
 ) -> PolicyFacts | None:
-    """Describe the policy for a row; None if the policy is "learned" and the package has none for this row.
+    """Describe the policy for a row; None if the specification names several policies, and none is for this row.
 
     Raises:
         UsageError: there is no such policy, or it needs other rules than those of the profile ``rules``.
@@ -160,10 +160,8 @@ def facts_for(
         facts = describe_policy(
             full_spec(policy, row.task, row.subtask or None, row.target or None)
         )
-    except UsageError:
-        if policy in LEARNED_NAMES:
-            return None
-        raise
+    except NoPolicyError:
+        return None
     check_rules(facts, rules)
     return facts
 

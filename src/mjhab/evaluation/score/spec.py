@@ -59,7 +59,8 @@ class ScoreSpec(TrackSpec):
     APART: ClassVar[frozenset[str]] = frozenset({"served"})
 
     policy: Annotated[str, Flag(metavar="NAME|FILE.py:CLASS|ws://HOST:PORT")] = "expert"
-    """The policy, as for `mjhab eval`."""
+    """The policy, as for `mjhab eval`. A POLICIES.json or a FOLDER of training runs gives each row its own; rows for
+    which there is none are left out."""
     track: Annotated[str, TRACK] = "subtasks"
     """The episodes: single subtasks, whole household tasks, or the seven subtasks that publications on MS-HAB
     compare, by its rules."""

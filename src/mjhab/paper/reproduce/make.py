@@ -13,7 +13,8 @@ from mjhab.core.errors import UsageError
 from mjhab.core.files.reading import read_json_object
 from mjhab.core.files.run_folder import CONFIG, RunFolder, write_text
 from mjhab.evaluation.evaluate import EvalSpec, run_evaluation
-from mjhab.learning.by_subtask import Entry, entries_text
+from mjhab.learning.assigned.entries import Entry
+from mjhab.learning.assigned.files import entries_text
 from mjhab.learning.require import require_learn
 from mjhab.learning.runs.run import TrainingFolder
 from mjhab.paper.reproduce.results import measured, untrained, write_results

@@ -1,0 +1,1 @@
+"""Which of several policies does what: the entries of a file or of a folder of policies."""

@@ -18,7 +18,7 @@ from mjhab.core.files.interrupts import sigterm_interrupts
 from mjhab.core.files.run_folder import write_text
 from mjhab.learning.reinforcement.specs import PpoSpec
 from mjhab.learning.reinforcement.train import train_reinforcement
-from mjhab.learning.runs.run import FINAL
+from mjhab.reports.compared.trainings import FINAL
 
 TARGET = "kitchen_counter/drawer3"
 PRESETS = ("fast", "paper_state")

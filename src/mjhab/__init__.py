@@ -15,6 +15,7 @@ from mjhab.core.version import __version__
 
 if TYPE_CHECKING:
     from mjhab.envs import make, make_train
+    from mjhab.evaluation.compare import compare
     from mjhab.evaluation.datasets.chain_starts import chain_starts
     from mjhab.evaluation.datasets.export import export_lerobot, export_maniskill
     from mjhab.evaluation.datasets.label import label
@@ -46,6 +47,7 @@ __all__ = [
     "TaskSpec",
     "__version__",
     "chain_starts",
+    "compare",
     "evaluate",
     "export_lerobot",
     "export_maniskill",
@@ -76,6 +78,7 @@ _LAZY = {
     "PackRequest": "mjhab.scenes.pack_source",
     "PackSource": "mjhab.scenes.pack_source",
     "chain_starts": "mjhab.evaluation.datasets.chain_starts",
+    "compare": "mjhab.evaluation.compare",
     "evaluate": "mjhab.evaluation.evaluate",
     "export_lerobot": "mjhab.evaluation.datasets.export",
     "export_maniskill": "mjhab.evaluation.datasets.export",

@@ -35,14 +35,14 @@ from mjhab.learning.configs import (
 )
 from mjhab.learning.runs.evaluation import EvaluationClock
 from mjhab.learning.runs.imitation import ImitationSession
-from mjhab.learning.runs.report import success_curves
-from mjhab.learning.runs.run import Logbook, TrainingFolder, read_metrics
+from mjhab.learning.runs.run import Logbook, TrainingFolder
 from mjhab.learning.runs.session import Session
 from mjhab.learning.runs.specs import ImitationSpec, Scene, TrainSpec
 from mjhab.learning.runs.train import open_session
 from mjhab.learning.runs.training import BrokenLossError, Trainer
 from mjhab.learning.students.heads import check_student, make_student
 from mjhab.learning.students.student import Batch
+from mjhab.reports.compared.trainings import read_metrics, success_curves
 from mjhab.rollout.records import EpisodeRecord
 from tests.data.make import record_pictures
 from tests.data.select.test_query import GOOD

@@ -14,11 +14,11 @@ from mjhab.cli.main import main
 from mjhab.core.errors import UsageError
 from mjhab.core.files.run_folder import write_text
 from mjhab.learning.reinforcement.specs import ReinforcementSpec
-from mjhab.learning.runs.run import METRICS, ON_THE_WAY
 from mjhab.paper.reproduce.make import reproduce
 from mjhab.paper.reproduce.results import curves_figure, outcomes, result_of
 from mjhab.paper.reproduce.rows import table_rows
 from mjhab.paper.reproduce.spec import TableSpec, chosen_rows
+from mjhab.reports.compared.trainings import METRICS, ON_THE_WAY
 from mjhab.reports.paper import paper_row
 
 DRAWER = "set_table/close/drawer"

@@ -18,6 +18,11 @@ from mjhab.learning.runs.report import render_training_report
 from mjhab.learning.runs.run import TrainingFolder
 from mjhab.paper.reproduce.results import page as reproduce_page
 from mjhab.render.film import FilmWriter
+from mjhab.reports.compared.page import (
+    ComparedRun,
+    pairs_of,
+    render_comparison,
+)
 from mjhab.reports.dataset import render_data_report
 from mjhab.reports.interact import interact_page
 from mjhab.reports.pages import Section, render_sections
@@ -96,6 +101,7 @@ def pages(folder: Path) -> dict[str, str]:
         "run_long_names": render_report(_renamed(chain), {**_RUN, **_LONG_RUN}, 20.0),
         "run_films": render_report(chain[:3], _RUN, 20.0, _film(folder)),
         "run_none": render_report([], _RUN, 0.0),
+        "compared": _compared(chain, _film(folder)),
         "training": _training(folder / "training", full=True),
         "training_none": _training(folder / "training_none", full=False),
         "data": _data(folder / "data", images=True),
@@ -108,6 +114,16 @@ def pages(folder: Path) -> dict[str, str]:
         "interact": _interact(),
         "reproduce": _reproduce(),
     }
+
+
+def _compared(chain: list[EpisodeRecord], film: Any) -> str:
+    lost = [dataclasses.replace(record, success_once=False) for record in chain]
+    films = {record.index: film(record.index) for record in chain[:2]}
+    runs = [
+        ComparedRun("a", _RUN, chain, films),
+        ComparedRun(LONG, {**_RUN, **_LONG_RUN}, lost, films),
+    ]
+    return render_comparison(runs, pairs_of(runs), ["A caution."])
 
 
 def _renamed(records: list[EpisodeRecord]) -> list[EpisodeRecord]:

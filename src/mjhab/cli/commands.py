@@ -182,6 +182,12 @@ COMMANDS: tuple[Command, ...] = (
         "evaluation.score.spec:StartsSpec",
     ),
     Command(
+        "compare",
+        "runs beside each other, paired by episode",
+        "policies.compare:run_compare",
+        "evaluation.compare:CompareSpec",
+    ),
+    Command(
         "reproduce",
         "the tables and figures of the MS-HAB paper",
         "paper.reproduce.command:run_reproduce",

@@ -78,7 +78,7 @@ def render_report(
         film_problem=film_problem,
         # Episodes without a film take no room for one: `mjhab eval --films 0` asks for none.
         shown=[
-            _shown(record, paths.get(record.index))
+            shown_episode(record, paths.get(record.index))
             for record in filmed or records[:TIMELINES_WITHOUT_FILM]
         ],
         film_steps_per_second=FILM_FPS * FILM_EVERY,
@@ -179,14 +179,20 @@ def _tainted(records: Sequence[EpisodeRecord]) -> dict[str, list[int]]:
     return found
 
 
-def _shown(record: EpisodeRecord, film: Path | None) -> dict[str, Any]:
-    """An episode with its timeline, whose places are in percent of the episode, and its film if the file exists."""
+def shown_episode(
+    record: EpisodeRecord, film: Path | None, run: str = ""
+) -> dict[str, Any]:
+    """What the element ``film`` of pages shows: an episode with its timeline, whose places are in percent of the
+    episode, and its film if the file exists; ``run``: its name, on pages of several.
+    """
     steps = max(record.steps, 1)
     outcome = f"{record.completed} of {len(record.plan)} subtasks"
     if record.success_once:
         outcome = f"success after {duration(record.steps_to_success)}"
     return {
         "record": record,
+        "title": ": ".join(filter(None, (run, f"Episode {record.index}"))),
+        "key": f"{run}{record.index}",
         "film": base64_text(film.read_bytes()) if film and film.is_file() else "",
         "outcome": outcome,
         "spans": [_span(subtask, steps) for subtask in record.subtasks],

@@ -26,6 +26,7 @@ from mjhab.core.machine import cores
 from mjhab.core.version import __version__
 from mjhab.data.store.episode_data import last_label
 from mjhab.data.store.places import episodes
+from mjhab.reports.compared.trainings import FINAL, read_metrics
 from mjhab.reports.metrics import label_counts, mean, wilson
 from mjhab.reports.paper import paper_success
 from mjhab.rollout.store import read_records
@@ -170,10 +171,7 @@ def training(run: Path) -> dict[str, Any]:
         data.append(
             {"episodes": len(found), "frames": sum(episode.steps for episode in found)}
         )
-    metrics = [
-        json.loads(line)
-        for line in (run / "metrics.jsonl").read_text(encoding="utf-8").splitlines()
-    ]
+    metrics = read_metrics(run)
     return {
         "split": config["scene"]["split"],
         "algorithm": config["algorithm"],
@@ -190,7 +188,7 @@ def training(run: Path) -> dict[str, Any]:
             row["success_once"]
             for row in metrics
             # The final evaluation is that of the finished policy, often in other homes.
-            if "success_once" in row and row.get("evaluation") != "final"
+            if "success_once" in row and row.get("evaluation") != FINAL
         ],
         "commits": sorted(commits) or [summary.get("commit", "")],
     }

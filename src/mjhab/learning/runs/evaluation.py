@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from mjhab.evaluation.evaluate import EvalSpec, Run, run_evaluation
-from mjhab.learning.runs.run import FINAL, ON_THE_WAY
 from mjhab.learning.runs.specs import Resources, Scene
+from mjhab.reports.compared.trainings import FINAL, ON_THE_WAY
 from mjhab.reports.metrics import mean, wilson
 from mjhab.rollout.policy import RolloutEnv
 from mjhab.rollout.records import EpisodeRecord

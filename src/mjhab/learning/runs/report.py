@@ -5,19 +5,18 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from mjhab.learning.runs.run import EVALUATIONS, FINAL, ON_THE_WAY, TrainingFolder
+from mjhab.learning.runs.run import EVALUATIONS, TrainingFolder
+from mjhab.reports.compared.page import flat
+from mjhab.reports.compared.trainings import curve_figure, success_curves, with_minutes
 from mjhab.reports.metrics import labels_by_kind, rows_by_kind
 from mjhab.reports.pages import base64_text, render_page
-from mjhab.reports.plots import labels_figure
+from mjhab.reports.plots import Figure, labels_figure
 from mjhab.reports.words import interval, percent
 from mjhab.rollout.records import EpisodeRecord
 from mjhab.rollout.store import FILMS
 
-Figure = dict[str, Any]
 LINE = "#14b8a6"
-POINTS = "#f59e0b"
-FINAL_POINTS = "#6366f1"
-"""Colours of the loss curve, of the success on the way, and of the final evaluation."""
+"""Colour of the loss curve."""
 
 
 def render_training_report(
@@ -34,7 +33,7 @@ def render_training_report(
     plots = {
         "loss-plot": loss_curve(rows),
         "samples-plot": success_curves(rows, "samples"),
-        "time-plot": success_curves([_minutes(row) for row in rows], "minutes"),
+        "time-plot": success_curves(with_minutes(rows), "minutes"),
     }
     if counts := labels_by_kind(records):
         plots["labels-plot"] = labels_figure(counts)
@@ -62,72 +61,7 @@ def loss_curve(rows: Sequence[Mapping[str, Any]]) -> Figure:
         "mode": "lines",
         "line": {"color": LINE, "width": 2},
     }
-    return _figure([trace], "samples", {"title": {"text": "loss"}})
-
-
-def success_curves(rows: Sequence[Mapping[str, Any]], x: str) -> Figure:
-    """Success once over key ``x``: a series for each kind of evaluation, in homes of one split, of as many episodes.
-
-    Evaluations of other episodes make no curve together.
-    """
-    series: dict[tuple[str, str, int], list[Mapping[str, Any]]] = {}
-    for row in rows:
-        if "success_once" in row and x in row:
-            # Runs of older versions do not tell which evaluation it was, and where.
-            kind = row.get("evaluation", ON_THE_WAY)
-            split = row.get("evaluated_split", "")
-            episodes = int(row.get("evaluated_episodes", 0))
-            series.setdefault((kind, split, episodes), []).append(row)
-    traces = [_success_series(name, points, x) for name, points in series.items()]
-    axis = {"title": {"text": "success once"}, "range": [0, 1]}
-    figure = _figure(traces, x, axis)
-    figure["layout"] |= {"showlegend": True, "legend": {"orientation": "h", "y": 1.16}}
-    return figure
-
-
-def _success_series(
-    name: tuple[str, str, int], points: Sequence[Mapping[str, Any]], x: str
-) -> dict[str, Any]:
-    kind, split, episodes = name
-    words = [
-        kind.replace("_", " "),
-        f"{episodes} episodes" if episodes else "",
-        f"{split} homes" if split else "",
-    ]
-    final = kind == FINAL
-    color = FINAL_POINTS if final else POINTS
-    return {
-        "x": [row[x] for row in points],
-        "y": [row["success_once"] for row in points],
-        "name": ", ".join(filter(None, words)),
-        "type": "scatter",
-        "mode": "markers" if final else "lines+markers",
-        "line": {"color": color, "width": 2},
-        "marker": {"color": color, "size": 11 if final else 6}
-        | ({"symbol": "diamond"} if final else {}),
-    }
-
-
-def _figure(traces: list[dict[str, Any]], x: str, y_axis: dict[str, Any]) -> Figure:
-    # Around a single value plotly would draw an axis of its own making.
-    x_axis = {"title": {"text": x}, "rangemode": "tozero"}
-    layout = {"height": 320, "xaxis": x_axis, "yaxis": y_axis}
-    return {"data": traces, "layout": layout}
-
-
-def flat(values: Mapping[str, Any], before: str = "") -> dict[str, Any]:
-    """Flatten nested mappings; names are joined by dots."""
-    found: dict[str, Any] = {}
-    for name, value in values.items():
-        if isinstance(value, Mapping):
-            found |= flat(value, f"{before}{name}.")
-        else:
-            found[f"{before}{name}"] = value
-    return found
-
-
-def _minutes(row: Mapping[str, Any]) -> dict[str, Any]:
-    return {**row, "minutes": round(row["seconds"] / 60.0, 2)}
+    return curve_figure([trace], "samples", {"title": {"text": "loss"}})
 
 
 def _title(folder: TrainingFolder) -> str:

@@ -17,7 +17,6 @@ import json
 import os
 import time
 from collections.abc import Mapping
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
@@ -28,10 +27,9 @@ from rich.live import Live
 from rich.table import Table
 
 from mjhab.core.arithmetic.sums import ordered_sum
-from mjhab.core.files.reading import parse_json
 from mjhab.core.files.run_folder import RunFolder, write_text
+from mjhab.reports.compared.trainings import FINAL, METRICS, read_metrics
 
-METRICS = "metrics.jsonl"
 TENSORBOARD = "tensorboard"
 DATA = "data"
 SUFFIX = ".safetensors"
@@ -42,12 +40,6 @@ ROUNDS = "rounds"
 EVALUATIONS = "evaluations"
 REFRESH_SECONDS = 0.5
 """Shortest time between two updates of the table in the terminal [s]."""
-
-
-ON_THE_WAY = "on_the_way"
-FINAL = "final"
-"""Which evaluation a row of metrics.jsonl tells of ("evaluation"): one during training, or that of the finished policy.
-"""
 
 
 class TrainingFolder(RunFolder):
@@ -86,16 +78,6 @@ class TrainingFolder(RunFolder):
     def evaluation(self, name: str) -> Path:
         """Run folder of an evaluation."""
         return self.path / EVALUATIONS / name
-
-
-def read_metrics(folder: Path, step: int | None = None) -> list[dict[str, Any]]:
-    """Read the rows that a run has reported, up to ``step`` updates if given; incomplete lines are skipped."""
-    path = folder / METRICS
-    found = []
-    for line in path.read_text(encoding="utf-8").splitlines() if path.is_file() else []:
-        with suppress(ValueError):
-            found.append(parse_json(line))
-    return [row for row in found if step is None or row["step"] <= step]
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,6 @@ from mjhab.core.arithmetic.sums import ordered_sum
 from mjhab.core.files.reading import read_json_object
 from mjhab.core.files.run_folder import write_text
 from mjhab.data.store.episode_data import last_label
-from mjhab.learning.runs.run import METRICS, ON_THE_WAY
 from mjhab.paper.reproduce.rows import RL_ALL, RL_PER, TableRow, table_rows
 from mjhab.paper.reproduce.variants import (
     AS_PUBLISHED,
@@ -27,6 +26,7 @@ from mjhab.paper.reproduce.variants import (
     TABLE5,
     VARIANTS,
 )
+from mjhab.reports.compared.trainings import ON_THE_WAY, read_metrics
 from mjhab.reports.metrics import label_counts, mean, wilson
 from mjhab.reports.pages import Section, render_sections
 from mjhab.reports.paper import ABLATIONS, SUCCESS_COLUMNS, paper_row, paper_success
@@ -108,11 +108,9 @@ def measured(runs: Sequence[Path], judged: Sequence[Path]) -> dict[str, Any]:
 
 def learning_curve(run: Path) -> list[tuple[int, float]]:
     """Samples and success once of every evaluation on the way of a training run, in homes of training."""
-    path = run / METRICS
-    lines = path.read_text(encoding="utf-8").splitlines() if path.is_file() else []
     return [
         (row["samples"], row["success_once"])
-        for row in map(json.loads, lines)
+        for row in read_metrics(run)
         if row.get("evaluation") == ON_THE_WAY
     ]
 

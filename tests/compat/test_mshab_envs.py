@@ -125,14 +125,41 @@ def test_attributes_that_scripts_read(env: Any) -> None:
         _ = base.agent.scene_idxs
 
 
-def test_a_partial_reset_leaves_the_other_worlds(env: Any) -> None:
+def test_a_partial_reset_leaves_the_other_worlds(
+    env: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
     env.reset(seed=5)
     obs, *_ = env.step(np.zeros((2, 13), np.float32))
+    pictures = {name: seen["depth"] for name, seen in obs["sensor_data"].items()}
+    before = {name: depth.clone() for name, depth in pictures.items()}
+    for depth in pictures.values():
+        # A script may write into what it was given.
+        depth[:] = 1
+    observer = env.unwrapped.worlds.observer
+    drawn: list[int] = []
+    draw = observer.draw
+
+    def counted(state: Any, homes: Any, target: Any = None) -> Any:
+        drawn.append(len(homes))
+        return draw(state, homes, target)
+
+    monkeypatch.setattr(observer, "draw", counted)
     after, info = env.reset(options={"env_idx": torch.tensor([1])})
     assert torch.equal(after["agent"]["qpos"][0], obs["agent"]["qpos"][0])
     assert not torch.equal(after["agent"]["qpos"][1], obs["agent"]["qpos"][1])
     assert info["elapsed_steps"].tolist() == [1, 0]
     assert info["subtasks_steps_left"].tolist() == [198, 199]
+    # The world that begins is drawn, and no other.
+    assert drawn == [1]
+    for name, seen in after["sensor_data"].items():
+        assert torch.equal(seen["depth"][0], before[name][0])
+        assert not torch.equal(seen["depth"][1], before[name][1])
+    observer._drawn = None
+    whole = env.unwrapped.worlds.observe()
+    assert drawn == [1, 2]
+    for name, seen in after["sensor_data"].items():
+        told = torch.from_numpy(whole[f"sensor_data/{name}/depth"])
+        assert torch.equal(seen["depth"], told)
 
 
 def test_seeds_decide_episodes(env: Any) -> None:

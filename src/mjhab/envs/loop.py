@@ -311,8 +311,10 @@ class TaskLoop(VectorEnv, ABC):
         # Checked before anything changes.
         episodes = None if wanted is None else self._chosen_episodes(wanted, mask)
         self._reseed(seed, mask)
-        self._renew(mask, self._no, episodes)
-        return self._keyed(self._observe()), self.info()
+        seen_before = self.signals is not None
+        changed = self._renew(mask, self._no, episodes)
+        obs = self._observe(changed=changed if seen_before else None)
+        return self._keyed(obs), self.info()
 
     def observe(self) -> dict[str, Any]:
         """Observations (W, ...) of the present state, for instance after `set_state`, which returns none.

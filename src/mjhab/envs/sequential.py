@@ -75,6 +75,8 @@ class SequentialTaskEnv(TaskLoop, VectorEnv):
             config.cameras,
             config.camera_size,
             config.threads,
+            # Otherwise a step alone resets worlds, and tells which.
+            remembers=config.autoreset == "disabled",
         )
         length = self.source.plan_length
         self.tables = PlanTables(self.layout, self.task_config, self.num_envs, length)

@@ -452,6 +452,20 @@ def test_the_published_presets_have_the_published_layers() -> None:
     assert joined == published(shapes, "actor.")
     assert linear_shapes(sac.judge) == published(shapes, "critic.")
     assert sac.actor.log_std_limits == (-20.0, 2.0)
+    acting, judging = sac.actor.trunk.encoder, sac.judge.encoder
+    for one, other in zip(acting.encoders, judging.encoders, strict=True):
+        assert one.convolutions is other.convolutions and one.head is not other.head
+    learned = set(SacLearner(sac, reinforcement_preset("sac", "paper"), 0).acting)
+    assert learned.isdisjoint(judging.parameters())
+    assert learned.issuperset(acting.encoders[0].head.parameters())  # type: ignore[union-attr]
+    assert learned.issuperset(acting.state.parameters())
+    # Orthogonal layers, and convolutions that begin as orthogonal maps of their middle pixel.
+    for rows in (sac.judge.critics.heads[1][0].weight.T, sac.actor.mean.weight):  # type: ignore[index]
+        assert torch.allclose(rows @ rows.T, torch.eye(len(rows)), atol=1e-4)
+    kernel = acting.encoders[0].convolutions[2].weight.detach()  # type: ignore[index]
+    middle = kernel[:, :, 1, 1]
+    assert torch.allclose(middle.T @ middle, 2.0 * torch.eye(32), atol=1e-4)
+    assert torch.equal(kernel.sum(dim=(2, 3)), middle)
     paper = preset_of("bc", "paper").student
     bc = make_student(paper, dataclasses.replace(STATE_42, inputs=paper.inputs))
     assert linear_shapes(bc) == published(bc_shapes(), "")

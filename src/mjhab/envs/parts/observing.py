@@ -29,6 +29,7 @@ from mjhab.envs.observations.state import (
     state_table,
 )
 from mjhab.envs.observations.table import describe, table_space
+from mjhab.envs.parts.drawn import DrawnImages
 from mjhab.envs.parts.plan_tables import Focus
 from mjhab.envs.parts.sensing import Sensing
 from mjhab.robots.robot import Robot
@@ -143,6 +144,8 @@ class Observer(ObservedRows):
         cameras: see `ObservedRows`.
         size: see `ObservedRows`.
         threads: threads of the renderer, over images; 0 takes every core.
+        remembers: keep a copy of the images, so that worlds that look as before are not drawn again: for environments
+            of which some worlds are reset between steps.
 
     Raises:
         UsageError: unknown mode or camera, size below 8 pixels.
@@ -156,6 +159,8 @@ class Observer(ObservedRows):
         cameras: str | Sequence[str] | None = None,
         size: int | Sequence[int] = 128,
         threads: int = 0,
+        *,
+        remembers: bool = False,
     ) -> None:
         super().__init__(sim.layout.robot, mode, cameras, size)
         self._sim = sim
@@ -165,6 +170,8 @@ class Observer(ObservedRows):
             [intrinsic_matrix(self.robot, name, self.size) for name in self.cameras]
         )
         self._renderer: HomeRenderer | None = None
+        self._remembers = remembers
+        self._drawn: DrawnImages | None = None
 
     @property
     def renderer(self) -> HomeRenderer:
@@ -206,18 +213,38 @@ class Observer(ObservedRows):
             target = None
             if TARGET_DEPTH in self.outputs:
                 target = target_in_base(obs[OBJECT_KEY], obs[GOAL_KEY], focus.kind)
-            if known is None or changed is None:
-                return obs | self.draw(state, homes, target)
-            worlds = np.flatnonzero(changed)
+            if known is None and self._drawn is not None:
+                known = self._drawn.images
+                changed = self._drawn.outdated(state, homes, target)
+            if known is None or changed is None or changed.all():
+                images = self.draw(state, homes, target)
+            else:
+                images = self._drawn_again(known, changed, state, homes, target)
+            if self._remembers:
+                self._drawn = DrawnImages(images, state, homes, target)
+            obs |= images
+        return obs
+
+    def _drawn_again(
+        self,
+        known: Mapping[str, np.ndarray],
+        changed: np.ndarray,
+        state: SimState,
+        homes: Sequence[str],
+        target: np.ndarray | None,
+    ) -> dict[str, np.ndarray]:
+        """The images (W, ...) of ``known``, with those of the worlds ``changed`` drawn again."""
+        images = {entry.key: known[entry.key].copy() for entry in self.camera_rows}
+        worlds = np.flatnonzero(changed)
+        if len(worlds):
             drawn = self.draw(
                 map_record(lambda rows: rows[worlds], state),
                 [homes[w] for w in worlds.tolist()],
                 target if target is None else target[worlds],
             )
             for key, rows in drawn.items():
-                obs[key] = known[key].copy()
-                obs[key][worlds] = rows
-        return obs
+                images[key][worlds] = rows
+        return images
 
     def draw(
         self, state: SimState, homes: Sequence[str], target: np.ndarray | None = None

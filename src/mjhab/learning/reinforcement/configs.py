@@ -132,7 +132,8 @@ class SacConfig:
     atoms: number of atoms of a distributional critic (C51) over the returns [value_low, value_high]; 0 selects a
     scalar critic with the squared error. critics: size of the ensemble.
     policy_delay: critic updates per update of the actor and of the target networks.
-    share_encoder: the actor uses the encoder that the critics train; otherwise it has its own.
+    share_encoder: the actor uses the encoder that the critics train; otherwise it has its own. Of the encoder "strided"
+    (MS-HAB's) they share the convolutions, and each has its own layers behind them.
     demonstrations: number of expert episodes in a separate demonstration buffer; demonstration_share: fraction of
     each batch drawn from it. imitation_coefficient: weight of the squared distance between the actor's actions and
     the demonstrated ones; it decreases linearly to 0 over imitation_samples. frozen_actor_samples: number of samples

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import itertools
 import math
 
 import torch
@@ -18,7 +19,7 @@ from mjhab.learning.students.heads import make_student
 
 
 class Judge(nn.Module):
-    """The critics with their encoder; ``shared`` is the actor's encoder if actor and critics share one."""
+    """The critics with their encoder; ``shared`` is the actor's encoder if actor and critics share all of one."""
 
     def __init__(
         self,
@@ -62,10 +63,42 @@ class Sac(nn.Module):
         made = start or make_student(config.student, layout, seed)
         assert isinstance(made, SquashedGaussian)
         self.actor = made
-        shared = self.actor.trunk.encoder if config.sac.share_encoder else None
+        acting = self.actor.trunk.encoder
+        published = config.network.encoder == "strided"
+        whole = config.sac.share_encoder and not published
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(seed + 1)
-            self.judge = Judge(config, layout, privileged, shared)
+            self.judge = Judge(config, layout, privileged, acting if whole else None)
+            if published and start is None:
+                _begin_as_published(self.actor, self.judge)
+        if published and config.sac.share_encoder:
+            _share_convolutions(self.judge.encoder, acting)
         self.target = copy.deepcopy(self.judge).requires_grad_(False)
         self.log_alpha = nn.Parameter(torch.tensor(math.log(config.sac.initial_alpha)))
         self.target_entropy = -float(len(layout.actions))
+
+
+def _share_convolutions(judging: Encoder, acting: Encoder) -> None:
+    """Let two encoders have the same convolutions, and each its own layers behind them, as MS-HAB does."""
+    for one, other in zip(judging.encoders, acting.encoders, strict=True):
+        one.convolutions = other.convolutions
+
+
+def _begin_as_published(*networks: nn.Module) -> None:
+    """Initialize layers as MS-HAB does (mshab/agents/sac): orthogonal, no bias; convolutions act on their middle alone.
+
+    So a convolution begins as an orthogonal map of the pixel below it (arXiv 1806.05393).
+    """
+    for layer in itertools.chain(*(network.modules() for network in networks)):
+        if not isinstance(layer, nn.Linear | nn.Conv2d):
+            continue
+        assert layer.bias is not None
+        nn.init.zeros_(layer.bias)
+        if isinstance(layer, nn.Linear):
+            nn.init.orthogonal_(layer.weight)
+            continue
+        nn.init.zeros_(layer.weight)
+        with torch.no_grad():
+            middle = torch.empty(layer.weight.shape[:2])
+            row, column = (side // 2 for side in layer.kernel_size)
+            layer.weight[:, :, row, column] = nn.init.orthogonal_(middle, math.sqrt(2.0))

@@ -34,12 +34,13 @@ class SacLearner:
         actor = agent.actor
         acting = [*actor.trunk.layers.parameters(), *actor.mean.parameters()]
         acting += actor.log_std.parameters()
-        if not self.config.share_encoder:
-            acting += actor.trunk.encoder.parameters()
+        self.judging = list(agent.judge.parameters())
+        # What is shared learns from the critics' errors alone.
+        shared = set(self.judging)
+        acting += [p for p in actor.trunk.encoder.parameters() if p not in shared]
         rate = self.config.learning_rate
         betas = (self.config.adam_beta, 0.999)
         self.acting = acting
-        self.judging = list(agent.judge.parameters())
         self.optimizers = {
             "actor": torch.optim.Adam(acting, lr=rate, betas=betas),
             "judge": torch.optim.Adam(self.judging, lr=rate, betas=betas),
@@ -130,16 +131,14 @@ class SacLearner:
         random: torch.Generator,
     ) -> dict[str, float]:
         agent = self.agent
-        features = agent.actor.features(batch.seen.vector, batch.seen.images)
-        if self.config.share_encoder:
-            features = features.detach()
-        actions, density = agent.actor.sample(features, random)
-        loss = torch.zeros((), device=actions.device)
         alpha = agent.log_alpha.exp()
-        if not frozen:
-            with _frozen(self.judging):
+        with _frozen(self.judging):
+            features = agent.actor.features(batch.seen.vector, batch.seen.images)
+            actions, density = agent.actor.sample(features, random)
+            loss = torch.zeros((), device=actions.device)
+            if not frozen:
                 worth = agent.judge.critics.values(agent.judge(batch.seen, actions))
-            loss = (alpha.detach() * density - worth.min(dim=0).values).mean()
+                loss = (alpha.detach() * density - worth.min(dim=0).values).mean()
         if imitation and demonstrated:
             mean, _ = agent.actor.distribution(features[:demonstrated])
             wanted = batch.actions[:demonstrated].clamp(-LARGEST_ACTION, LARGEST_ACTION)

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import json
 import logging
 from typing import Any, ClassVar
 
 import gymnasium
+import h5py
 import numpy as np
 import pytest
 import torch
@@ -23,6 +25,7 @@ from mjhab.compat.mshab.wrappers.observation import (
     FrameStack,
     StackedDictObservationWrapper,
 )
+from mjhab.compat.mshab.wrappers.record import RecordEpisode
 from mjhab.compat.mshab.wrappers.statistics import VectorRecordEpisodeStatistics
 from mjhab.compat.mshab.wrappers.vector import ManiSkillVectorEnv
 from mjhab.core.errors import UsageError
@@ -206,6 +209,33 @@ def test_all_entries_are_stacked_with_the_state(env: Any) -> None:
     obs, _ = stacked.reset(seed=0)
     assert obs["state"].shape == (2, 2, 42)
     assert bare.unwrapped.single_observation_space["state"].shape == (2, 42)
+
+
+def test_episodes_without_a_step_are_cleaned_away(
+    tmp_path: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bare = made(obs_mode="state")
+    monkeypatch.setattr(bare.unwrapped, "close", bool)
+    for clean in (True, False):
+        recorded = RecordEpisode(
+            bare, tmp_path, trajectory_name="a", save_video=False, clean_on_close=clean
+        )
+        recorded.reset(seed=0)
+        recorded.flush_trajectory(ignore_empty_transition=False, env_idxs_to_flush=[1])
+        recorded.flush_trajectory()
+        recorded.step(np.zeros((2, 13), np.float32))
+        recorded.close()
+        lengths = [1, 1] if clean else [0, 1, 1]
+        with h5py.File(tmp_path / "a.h5") as file:
+            assert sorted(file) == [f"traj_{i}" for i in range(len(lengths))]
+            for number, length in enumerate(lengths):
+                one: Any = file[f"traj_{number}"]
+                assert one["actions"].shape == (length, 13)
+                assert one["obs"].shape == (length + 1, 42)
+                assert one["success"].shape == one["rewards"].shape == (length,)
+        told = json.loads((tmp_path / "a.json").read_text())["episodes"]
+        assert [one["elapsed_steps"] for one in told] == lengths
+        assert [one["episode_id"] for one in told] == list(range(len(lengths)))
 
 
 def test_depth_is_needed_where_it_is_shown() -> None:

@@ -35,7 +35,8 @@ class RecordEpisode(ForwardingWrapper):
         save_on_reset: episodes are written when their worlds are reset; else only by `flush_trajectory`.
         save_video_trigger: whether a control step, counted from the beginning, is filmed.
         max_steps_per_video: length of a film; with more than one world it must be given.
-        clean_on_close: kept for scripts; there is nothing to clean.
+        clean_on_close: at `close`, remove the trajectories without a step, which `flush_trajectory` can be asked for,
+            and number the others anew.
         record_reward, record_env_state: whether rewards, and states (`get_state_dict`), are written.
         label_episode: label episodes of one subtask by the published rules.
         valid_episode_labels: labels of episodes that are written; all if None.
@@ -97,6 +98,7 @@ class RecordEpisode(ForwardingWrapper):
         self._trigger = save_video_trigger
         self._filming = save_video
         self._info_on_video = info_on_video
+        self._cleans = clean_on_close
         self._film = RecordedFilm(
             self.output_dir, video_fps, max_steps_per_video, avoid_overwriting_video
         )
@@ -222,9 +224,9 @@ class RecordEpisode(ForwardingWrapper):
         env_idxs_to_flush: Any = None,
         save: bool = True,
     ) -> None:
-        """Write the episodes of some worlds (default all), up to now; a world without a step has none.
+        """Write the episodes of some worlds (default all), up to now; ``save=False`` drops them.
 
-        ``save=False`` drops them.
+        A world without a step since its episode began has none; with ``ignore_empty_transition=False`` one of length 0.
         """
         file = self._file
         if file is None:
@@ -233,7 +235,8 @@ class RecordEpisode(ForwardingWrapper):
         for world in map(int, worlds):
             start = int(self._begun[world])
             steps = self._steps[start:]
-            if self.reached_max_trajectories or len(steps) <= 1:
+            empty = len(steps) <= 1
+            if self.reached_max_trajectories or (empty and ignore_empty_transition):
                 continue
             if save:
                 self._save(file, world, steps)
@@ -244,7 +247,11 @@ class RecordEpisode(ForwardingWrapper):
         self, file: TrajectoryFile, world: int, steps: list[dict[str, Any]]
     ) -> None:
         arrays = _stacked(steps, world, self._parts)
-        about = described_episode(self.base_env, world, arrays, self.label_episode)
+        actions = self.base_env.single_action_space.shape
+        # Without a step nothing tells how wide an action is.
+        arrays["action"] = arrays["action"].reshape(-1, *actions)
+        labelled = self.label_episode and len(steps) > 1
+        about = described_episode(self.base_env, world, arrays, labelled)
         if self._is_wanted(arrays, about):
             file.add(arrays, about, with_info=self.WRITES_INFO)
 
@@ -282,6 +289,8 @@ class RecordEpisode(ForwardingWrapper):
         if self._file is not None:
             if self.save_on_reset and self._steps:
                 self.flush_trajectory()
+            if self._cleans:
+                self._file.clean()
             self._file.close()
         self._film.flush(None, "", save=self.save_on_reset)
         super().close()
@@ -309,14 +318,19 @@ def _stacked(
 ) -> dict[str, Any]:
     """One world's episode: "obs", "info" and "state" with T+1 rows, the others with T."""
     after = steps[1:]
-    names = [n for n in ("action", "terminated", "truncated") if n in after[0]]
-    if parts["reward"]:
-        names.append("reward")
+    names = [
+        "action",
+        "terminated",
+        "truncated",
+        *(["reward"] if parts["reward"] else []),
+    ]
     made: dict[str, Any] = {
-        name: np.stack([step[name][world] for step in after]) for name in names
+        name: np.array([step[name][world] for step in after]) for name in names
     }
     made["obs"] = _stacked_tree([step["obs"] for step in steps], world)
-    made["info"] = _stacked_tree([step["info"] for step in after], world)
+    # A reset may tell less than a step does.
+    told = _stacked_tree([step["info"] for step in after or steps], world)
+    made["info"] = told if after else mapped(lambda rows: rows[:0], told)
     if parts["state"]:
         made["state"] = _stacked_tree([step["state"] for step in steps], world)
     return made

@@ -84,6 +84,20 @@ class TrajectoryFile:
             group["rewards"] = arrays["reward"].astype(np.float32)
         self.episodes.append({"episode_id": number, **about})
 
+    def clean(self) -> None:
+        """Remove the trajectories without a step, and number the others anew."""
+        kept: list[dict[str, Any]] = []
+        for episode in self.episodes:
+            name = f"{TRAJECTORY}{episode['episode_id']}"
+            if not episode["elapsed_steps"]:
+                del self._file[name]
+                continue
+            number = len(kept)
+            if number != episode["episode_id"]:
+                self._file.move(name, f"{TRAJECTORY}{number}")
+            kept.append({**episode, "episode_id": number})
+        self.episodes = kept
+
     def describe(self) -> None:
         """Write the JSON file."""
         dump_json(self._json, {**self._about, "episodes": self.episodes}, indent=2)
@@ -118,10 +132,10 @@ def described_episode(
     return {
         **about,
         "reset_kwargs": {},
-        "success": bool(success[-1]),
+        "success": bool(success[-1:].any()),
         "success_once": bool(success.any()),
-        "success_at_end": bool(success[-1]),
-        "fail": bool(info["fail"][-1]),
+        "success_at_end": bool(success[-1:].any()),
+        "fail": bool(info["fail"][-1:].any()),
     }
 
 

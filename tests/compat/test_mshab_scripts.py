@@ -6,15 +6,23 @@ import json
 import os
 import subprocess
 import sys
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
+import gymnasium
 import pytest
+import torch
 
-from mjhab.compat.mshab.running.check import check_script
-from mjhab.compat.mshab.running.script import checkout_of, find_script
+from mjhab.compat.mshab.running.check import FOREIGN, check_script
+from mjhab.compat.mshab.running.forks import own_modules
+from mjhab.compat.mshab.running.hook import Answers
+from mjhab.compat.mshab.running.script import checkout_of, find_script, run_script
+from mjhab.compat.mshab.running.table import MSHAB
 from mjhab.core.errors import UsageError
 
 SCRIPTS = Path(__file__).parent / "scripts"
+Lines = Callable[..., list[str]]
 
 
 def run(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
@@ -24,21 +32,36 @@ def run(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
     )
 
 
-def lines(found: subprocess.CompletedProcess[str]) -> list[str]:
-    assert found.returncode == 0, found.stderr[-3000:]
-    return found.stdout.splitlines()
+@pytest.fixture
+def lines(monkeypatch: Any, capsys: Any) -> Iterator[Lines]:
+    """What a script prints; it runs in this process, which forgets what was answered."""
+    for name in ("meta_path", "path", "argv"):
+        monkeypatch.setattr(sys, name, list(getattr(sys, name)))
+    monkeypatch.setattr(torch.Tensor, "cuda", torch.Tensor.cuda)
+    monkeypatch.setattr(gymnasium.Wrapper, "__getattr__", None, raising=False)
+    # So that the script begins without, and its habit is taken away with this one.
+    del gymnasium.Wrapper.__getattr__
+
+    def printed(name: str, *arguments: str | Path) -> list[str]:
+        run_script(SCRIPTS / name, list(map(str, arguments)))
+        return capsys.readouterr().out.splitlines()
+
+    yield printed
+    for name in [n for n in sys.modules if n.partition(".")[0] in FOREIGN]:
+        del sys.modules[name]
 
 
-def test_a_training_script_runs_with_its_imports_answered() -> None:
-    printed = lines(run(SCRIPTS / "train.py", "3"))
-    episodes, stats = printed[-2:]
+def test_a_training_script_runs_with_its_imports_answered(lines: Lines) -> None:
+    episodes, stats = lines("train.py", "3")[-2:]
     assert episodes.startswith("episodes 4 return")
     assert 0 < float(episodes.rsplit(maxsplit=1)[-1]) < 1.1
     assert stats == "stats [4, 4]"
 
 
-def test_a_collector_writes_trajectories_labels_and_films(tmp_path: Path) -> None:
-    shapes, labels, films = lines(run(SCRIPTS / "collect.py", tmp_path))[-3:]
+def test_a_collector_writes_trajectories_labels_and_films(
+    lines: Lines, tmp_path: Path
+) -> None:
+    shapes, labels, films = lines("collect.py", tmp_path)[-3:]
     assert shapes.startswith("trajectories 4 ")
     assert json.loads(shapes.removeprefix("trajectories 4 ")) == {
         "actions": [3, 13],
@@ -49,11 +72,45 @@ def test_a_collector_writes_trajectories_labels_and_films(tmp_path: Path) -> Non
     assert films == "films ['0.mp4', '1.mp4']"
 
 
-@pytest.mark.parametrize("name", ["train.py", "collect.py"])
-def test_a_check_tells_what_is_answered(name: str) -> None:
+def test_an_evaluation_of_a_vla_counts_success_by_both_rules(lines: Lines) -> None:
+    lengths, success = lines("vla.py", "2")[-2:]
+    assert lengths == "lengths [4, 4] calls 4"
+    assert success == "once 0 at end 0 of 2"
+
+
+def test_wrappers_of_a_fork_are_its_own(tmp_path: Path) -> None:
+    package = tmp_path / "mshab"
+    wrappers = package / "envs" / "wrappers"
+    wrappers.mkdir(parents=True)
+    make = "from mshab.envs.wrappers import DebugVideoGPU, FetchActionWrapper"
+    (package / "envs" / "make.py").write_text(make)
+    assert own_modules(package, MSHAB) == {}
+    (wrappers / "observation.py").write_text(
+        "class Colours: pass\nclass FrameStack: pass"
+    )
+    (wrappers / "__init__.py").write_text("from .observation import Colours, FrameStack")
+    (package / "envs" / "make.py").write_text(f"{make}, Colours")
+    own = own_modules(package, MSHAB)
+    assert set(own) == {
+        f"mshab.envs{part}" for part in (".make", ".wrappers", ".wrappers.observation")
+    }
+    assert all(names == {"Colours"} for names in own.values())
+    # Below a package that is answered, modules that are not come from the fork.
+    finder = Answers({n: names for n, names in MSHAB.items() if n not in own}, package)
+    spec = finder.find_spec("mshab.envs")
+    assert spec is not None
+    assert spec.submodule_search_locations == [str(package / "envs")]
+    assert finder.find_spec("mshab.envs.wrappers") is None
+
+
+@pytest.mark.parametrize(
+    ("name", "subtask"),
+    [("train.py", "Pick"), ("collect.py", "Pick"), ("vla.py", "Close")],
+)
+def test_a_check_tells_what_is_answered(name: str, subtask: str) -> None:
     found = check_script(SCRIPTS / name)
     assert set(found["imports"].values()) == {"answered"}
-    assert found["ids"] == ["PickSubtaskTrain-v0"]
+    assert found["ids"] == [f"{subtask}SubtaskTrain-v0"]
 
 
 def test_a_check_tells_what_is_missing(tmp_path: Path) -> None:

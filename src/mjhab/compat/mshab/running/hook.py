@@ -7,10 +7,13 @@ import importlib.machinery
 import sys
 from collections.abc import Mapping, Sequence
 from importlib.abc import Loader, MetaPathFinder
+from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+from mjhab.compat.mshab.running.forks import own_modules
 from mjhab.compat.mshab.running.table import MANI_SKILL, MSHAB, SAPIEN, WITHOUT_CHECKOUT
+from mjhab.core.errors import warn_once
 
 ENGINE = ("sapien", "mani_skill")
 """Packages without which MS-HAB's own environments cannot be imported."""
@@ -33,12 +36,28 @@ def answered_modules() -> dict[str, dict[str, str]]:
     """Modules that mjhab answers in this process, and the places of their names.
 
     The environments are answered unless ManiSkill and SAPIEN are installed. The rest of MS-HAB comes from its own
-    package where that can be found.
+    package where that can be found, and so do modules with wrappers that only a fork has (`forks`).
     """
     if all(map(installed, ENGINE)):
         return {}
     found = {**MANI_SKILL, **SAPIEN, **MSHAB}
-    return found if installed("mshab") else {**found, **WITHOUT_CHECKOUT}
+    folder = package_folder()
+    if folder is None:
+        return {**found, **WITHOUT_CHECKOUT}
+    own = own_modules(folder, MSHAB)
+    if own:
+        wrappers = ", ".join(sorted(set().union(*own.values())))
+        warn_once(f"{', '.join(own)}: those of {folder} are used, which has {wrappers}.")
+    for module in own:
+        del found[module]
+    return found
+
+
+def package_folder() -> Path | None:
+    """Folder of MS-HAB's own package, beside the script or installed; None if there is none."""
+    spec = importlib.machinery.PathFinder.find_spec("mshab")
+    places = [] if spec is None else spec.submodule_search_locations or []
+    return next((Path(place) for place in places if Path(place).is_dir()), None)
 
 
 class Answers(MetaPathFinder, Loader):
@@ -46,10 +65,14 @@ class Answers(MetaPathFinder, Loader):
 
     Args:
         modules: names of modules, and of their members with the places "module:name" where those are.
+        folder: of MS-HAB's own package, in which modules are that are not answered; None without one.
     """
 
-    def __init__(self, modules: Mapping[str, Mapping[str, str]]) -> None:
+    def __init__(
+        self, modules: Mapping[str, Mapping[str, str]], folder: Path | None = None
+    ) -> None:
         self._modules = modules
+        self._folder = folder
 
     def find_spec(
         self, fullname: str, path: Sequence[str] | None = None, target: Any = None
@@ -58,9 +81,13 @@ class Answers(MetaPathFinder, Loader):
         if fullname not in self._modules:
             return None
         inside = any(name.startswith(f"{fullname}.") for name in self._modules)
-        return importlib.machinery.ModuleSpec(
+        spec = importlib.machinery.ModuleSpec(
             fullname, self, origin="answered by mjhab", is_package=inside
         )
+        top, *below = fullname.split(".")
+        if inside and top == "mshab" and self._folder is not None:
+            spec.submodule_search_locations = [str(self._folder.joinpath(*below))]
+        return spec
 
     def create_module(self, spec: importlib.machinery.ModuleSpec) -> ModuleType:
         """An empty module."""
@@ -96,6 +123,6 @@ def install() -> bool:
     modules = answered_modules()
     if not modules:
         return False
-    sys.meta_path.insert(0, Answers(modules))
+    sys.meta_path.insert(0, Answers(modules, package_folder()))
     importlib.import_module("mjhab.compat.mshab")
     return True

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 from mjhab.core.version import __version__
 
 if TYPE_CHECKING:
+    from mjhab.config.perturbing import Perturbation, Quantity, register_perturbation
     from mjhab.envs import make, make_train
     from mjhab.evaluation.compare import compare
     from mjhab.evaluation.datasets.chain_starts import chain_starts
@@ -42,6 +43,8 @@ __all__ = [
     "ObjectModel",
     "PackRequest",
     "PackSource",
+    "Perturbation",
+    "Quantity",
     "SubtaskSpec",
     "TargetRule",
     "TaskSpec",
@@ -62,6 +65,7 @@ __all__ = [
     "register_control_mode",
     "register_object",
     "register_pack",
+    "register_perturbation",
     "register_robot",
     "register_subtask",
     "register_task",
@@ -97,6 +101,9 @@ _LAZY = {
     "register_object": "mjhab.scenes.objects",
     "register_subtask": "mjhab.tasks.subtasks.registry",
     "register_task": "mjhab.tasks.household.registry",
+    "Perturbation": "mjhab.config.perturbing",
+    "Quantity": "mjhab.config.perturbing",
+    "register_perturbation": "mjhab.config.perturbing",
     "register_pack": "mjhab.scenes.pack_source",
     "train": "mjhab.learning.train",
 }

@@ -22,6 +22,7 @@ import pytest
 
 import mjhab
 from mjhab.cli.main import parse
+from mjhab.config.perturbing import PERTURBATIONS
 from mjhab.evaluation.score.leaderboard import leaderboard
 from mjhab.evaluation.score.manifest import TRACKS
 from mjhab.evaluation.score.result import read_for_table
@@ -41,6 +42,7 @@ from tests.docs.pages import (
     saved,
 )
 
+REGISTRIES = (OBJECTS, PACK_SOURCES, PERTURBATIONS)
 SMALL_VECTOR = {"num_envs": 2}
 SMALL_EVALUATION = {"episodes": 1, "worlds": 1, "films": 0, "horizon": 5}
 SMALL_GENERATION = {
@@ -79,7 +81,7 @@ def small(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.fixture
 def registries() -> Iterator[None]:
     """What pages register is there for them alone."""
-    kept = [(registry, set(registry.names())) for registry in (OBJECTS, PACK_SOURCES)]
+    kept = [(registry, set(registry.names())) for registry in REGISTRIES]
     yield
     for registry, names in kept:
         for name in set(registry.names()) - names:

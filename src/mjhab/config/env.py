@@ -11,6 +11,7 @@ from numbers import Real
 from pathlib import Path
 from typing import Annotated, Any, ClassVar
 
+from mjhab.config.perturbing import PerturbationPlan, axes_text, parse_axes
 from mjhab.config.profiles import (
     DEFAULT_PROFILE,
     FREE_OPTIONS,
@@ -48,6 +49,8 @@ REWARD_MODES = ("pointer", "sparse", *DENSE_MODES, "none")
 NAVIGATE_MODES = ("teleport", "drive")
 OF_PROFILE: Any = None
 """Default of the options whose value the profile determines."""
+PERTURBING = ("perturb", "randomise")
+"""Options that perturb episodes."""
 _LIMITS = tuple(part.name for part in dataclasses.fields(SubtaskConfig))
 
 
@@ -165,6 +168,16 @@ class EnvConfig:
     (0.01 and 0.01, stops that do not bounce), which built-in furniture has, too, since it stands in for ReplicaCAD.
     With "published" a door that a wall stops keeps its range and meets the wall, see `layout.joints`. What was
     recorded without it had "ours"."""
+    perturb: Annotated[
+        str | Mapping[str, int], Flag(metavar="AXIS:LEVEL,...", kind=str)
+    ] = ""
+    """Perturb every episode, such as camera:3,light:2: levels 1 to 5 of camera, light, colours, layout, start, language
+    and noise, or all:2 for every one of them (see docs/perturbations.md). What is not perturbed stays as it is."""
+    randomise: Annotated[
+        str | Mapping[str, int], Flag(metavar="AXIS:LEVEL,...", kind=str)
+    ] = ""
+    """Domain randomisation: the same axes, at a level that is drawn for every episode, from 0 to the one that is
+    named."""
     autoreset: Annotated[str, Flag(hidden=True)] = "same_step"
     """What happens after an episode's end: "same_step", "next_step" or "disabled"."""
     episodes_file: Annotated[str, Flag(metavar="FILE")] = ""
@@ -231,9 +244,31 @@ class EnvConfig:
                         f"episodes_file and {name} exclude each other: a file of episodes has objects and places of "
                         "its own."
                     )
+        self._take_perturbations()
         for name in (self.subtask,) if self.subtask else task.subtasks:
             robot.require(SUBTASKS[name].joint_groups, f"subtask {name!r}")
         self._check_backend()
+
+    def _take_perturbations(self) -> None:
+        """Write the axes of perturbations in their one form, a text.
+
+        Raises:
+            UsageError: there is no such axis or level, or one is asked for by both options.
+        """
+        axes = {name: parse_axes(getattr(self, name), name) for name in PERTURBING}
+        for name in PERTURBING:
+            object.__setattr__(self, name, axes_text(axes[name]))
+        for axis in set(axes["perturb"]) & set(axes["randomise"]):
+            raise UsageError(
+                f"{axis!r} is in perturb and in randomise: its level is fixed or drawn.",
+                option="perturb",
+                given=axis,
+            )
+
+    @property
+    def perturbations(self) -> PerturbationPlan:
+        """Which axes are perturbed."""
+        return PerturbationPlan(*(parse_axes(getattr(self, name)) for name in PERTURBING))
 
     def of_profile(self) -> dict[str, Any]:
         """The profile's name and the values in force of the options that depend on it, for the record of a run."""

@@ -110,6 +110,7 @@ def make(**options: Any) -> Any:
               joint_angles, render_mode
             - actions: control_mode, base, stationary
             - reward: reward_mode, reward_scales, reward_formula, reward_normaliser
+            - what is perturbed: perturb, randomise
             - how it is judged: horizon, continuous, stillness, force_limits, overrides, navigate
 
     Returns:

@@ -21,6 +21,7 @@ from mjhab.envs.loop import TaskLoop
 from mjhab.envs.parts.memory import check_memory
 from mjhab.envs.parts.nav_distance import NavDistance
 from mjhab.envs.parts.observing import Observer
+from mjhab.envs.parts.perturbing import Perturber
 from mjhab.envs.parts.plan_tables import PlanTables
 from mjhab.envs.parts.reporting import Reporter
 from mjhab.envs.parts.snapshots import Restorable, restore, snapshot
@@ -28,6 +29,7 @@ from mjhab.envs.parts.teleport import Teleports
 from mjhab.envs.parts.tracking import StepNotes, Tracker
 from mjhab.envs.parts.world_view import WorldView
 from mjhab.episodes.episode import Episode
+from mjhab.episodes.perturbing import as_perturbed
 from mjhab.episodes.source import EpisodeSource, open_setting
 from mjhab.episodes.starts import Start
 from mjhab.robots.controllers import check_actions
@@ -82,6 +84,11 @@ class SequentialTaskEnv(TaskLoop, VectorEnv):
         self.tables = PlanTables(self.layout, self.task_config, self.num_envs, length)
         self.tracker = Tracker(self.num_envs, self.config.teleports)
         self.teleports = Teleports(self.starts, self.sensing, self.tables)
+        self.perturber = Perturber(
+            config.perturbations, self.layout.robot, self.controller, self.num_envs
+        )
+        if self.perturber.sees:
+            self.observer.perturber = self.perturber
         self.reporter = Reporter(self.num_envs, self.layout, config)
         self._set_spaces(self.observer.single_space, render_modes=["rgb_array"])
         self.episodes_now: list[Episode | None] = [None] * self.num_envs
@@ -153,7 +160,9 @@ class SequentialTaskEnv(TaskLoop, VectorEnv):
     def adopt(self, world: int, episode: Episode) -> Start:
         """Set home and plan of a world to those of an episode; returns the start state, which is not applied yet."""
         start = self.source.start(episode)
-        self.episodes_now[world] = episode
+        self.episodes_now[world] = as_perturbed(episode, start)
+        if self.perturber.plan:
+            self.perturber.begin(world, episode.seed, episode.index)
         self.homes[world] = start.home
         self.boxes[world] = start.boxes
         self.tables.set_row(world, start.plan, start.boxes)
@@ -191,6 +200,13 @@ class SequentialTaskEnv(TaskLoop, VectorEnv):
     def _checked(self, actions: Any) -> np.ndarray:
         # A copy, because the caller may modify its array later.
         return check_actions(actions, self.action_table, self.num_envs).copy()
+
+    def _advance_physics(self, actions: np.ndarray) -> np.ndarray:
+        if self.perturber.plan:
+            still = self.controller.still(self.state)
+            still[:, self.controller.gripper] = self.grip
+            actions = self.perturber.step(actions, still)
+        return super()._advance_physics(actions)
 
     def _simulate(self, ctrl: np.ndarray) -> np.ndarray:
         before = self.sim.qpos.copy()
@@ -264,12 +280,13 @@ class SequentialTaskEnv(TaskLoop, VectorEnv):
 
     def restorable_parts(self) -> Mapping[str, Restorable]:
         """Parts with state of their own, by their keys in a snapshot."""
-        return {
+        parts: dict[str, Restorable] = {
             "tracker": self.tracker,
             "controller": self.controller,
             "rewarder": self.rewarder,
             "pending": self.teleports,
         }
+        return parts | ({"perturber": self.perturber} if self.perturber.plan else {})
 
     def get_columns(self, world: int) -> dict[str, Any]:
         """State of a world that the environment itself holds, by its keys in a snapshot."""

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import json
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +30,7 @@ class Episode:
         link_q: (L,) joint positions of drawers and doors [m or rad].
         targets: targets in the order of the plan.
         skipped_homes: homes that had no room and whose place this one took, in the order in which they were tried.
+        perturbed: what came of perturbations of its objects and of its start, by axis; no part of its file.
     """
 
     task: str
@@ -41,6 +42,7 @@ class Episode:
     link_q: np.ndarray
     targets: tuple[Target, ...]
     skipped_homes: tuple[str, ...] = ()
+    perturbed: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
 
 
 def episode_content(episode: Episode) -> dict[str, Any]:

@@ -13,6 +13,7 @@ from mjhab.episodes.episode import Episode
 from mjhab.episodes.generator import EpisodeMaker
 from mjhab.episodes.hab.format import HabFile, read_hab
 from mjhab.episodes.hab.reader import FileEpisodes, file_roster
+from mjhab.episodes.perturbing import EpisodePerturber
 from mjhab.episodes.rosters import object_roster
 from mjhab.episodes.starts import Start, StartMaker, check_target
 from mjhab.episodes.zones import with_zones
@@ -87,6 +88,7 @@ class EpisodeSource:
             else EpisodeMaker(sim, config.task, config.split, config.home, wanted)
         )
         self.starts = StartMaker(sim, config, task_config)
+        self._perturber = EpisodePerturber(self.starts)
         self.plan_length = 1 if config.subtask else TASKS[config.task].length
         # Settling the objects takes longer than all control steps of an episode: training draws from a pool of them.
         given = file is not None or self.starts.spawn_set is not None
@@ -99,6 +101,10 @@ class EpisodeSource:
         With `EnvConfig.episode_pool` its home and object poses come from a pool of so many episodes. Spawn, target and
         opening of links are still drawn for each (seed, index).
         """
+        return self._perturber.objects(self._clean(seed, index))
+
+    def _clean(self, seed: int, index: int) -> Episode:
+        """The episode before its objects are perturbed."""
         if not self._pool_size:
             return (self.starts.spawn_set or self._arrangements).episode(seed, index)
         key = (
@@ -110,7 +116,7 @@ class EpisodeSource:
 
     def start(self, episode: Episode) -> Start:
         """Return plan and start state of an episode; with goal type "zone", the plan has place zones."""
-        start = self.starts.start(episode)
+        start = self._perturber.start(self.starts.start(episode), episode)
         if self.task_config.goal_type != "zone":
             return start
         home = self.starts.home(start.home)

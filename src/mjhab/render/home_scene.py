@@ -55,6 +55,28 @@ class BodyPoses(Protocol):
         ...
 
 
+class CameraChange(NamedTuple):
+    """How C cameras of W worlds differ from their mounts.
+
+    Attributes:
+        shift: (W, C, 3) change of the position in the axes of the camera [m].
+        turn: (W, C, 3, 3) rotation in the axes of the camera.
+        widen: (W, C) factor of the tangent of half the field of view.
+    """
+
+    shift: np.ndarray
+    turn: np.ndarray
+    widen: np.ndarray
+
+    def applied(
+        self, pos: np.ndarray, mat: np.ndarray, fovy: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Positions (W, C, 3), orientations (W, C, 3, 3) and fields of view (W, C) [rad] of the changed cameras."""
+        moved = pos + np.einsum("wcij,wcj->wci", mat, self.shift)
+        wide = 2.0 * np.arctan(self.widen * np.tan(0.5 * np.asarray(fovy)))
+        return moved, mat @ self.turn, wide
+
+
 class _Mounts(NamedTuple):
     """Places of C robot cameras: body ids (C,), positions (C, 3) [m] and rotations (C, 3, 3) on these bodies, and
     vertical fields of view (C,) [rad]."""
@@ -200,6 +222,7 @@ class HomeRenderer:
         size: int | tuple[int, int],
         outputs: Sequence[str],
         cameras: Sequence[str] | None = None,
+        changed: CameraChange | None = None,
     ) -> dict[str, np.ndarray]:
         """Render robot cameras in all worlds.
 
@@ -211,6 +234,7 @@ class HomeRenderer:
             size: side, or (height, width) [px].
             outputs: any of "rgb", "depth", "seg".
             cameras: names of C robot cameras; None takes all.
+            changed: how cameras differ from their mounts, if they do.
 
         Returns:
             (W, C, height, width[, 3]) by output, as `Rasterizer.render` returns them.
@@ -222,6 +246,9 @@ class HomeRenderer:
         index = self.home_numbers(homes)
         fovy = self.fields_of_view(cameras)
         pos, mat = self.camera_poses(state, cameras)
+        if changed is not None:
+            pos, mat, fovy = changed.applied(pos, mat, fovy)
+            fovy = fovy[is_sane(state.body_pos, state.body_mat)]
         sane = is_sane(state.body_pos, state.body_mat)
         rows = slice(None) if sane.all() else sane
         drawn = self.rasterizer.render(

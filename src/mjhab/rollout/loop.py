@@ -309,6 +309,7 @@ class _Trace:
                 None if self.finger_force is None else round(self.finger_force, 3)
             ),
             skipped_homes=tuple(episode.get("skipped_homes", ())),
+            perturbation=plain(episode.get("perturbation", {})),
         )
 
 

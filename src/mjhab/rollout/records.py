@@ -23,6 +23,7 @@ OPTIONAL = (
     "peak_finger_force",
     "teleported",
     "skipped_homes",
+    "perturbation",
 )
 """Fields of both records that are left out of a file where they are empty; older files lack them."""
 Event = tuple[int, str]
@@ -119,9 +120,9 @@ class EpisodeRecord:
     empty in records of older versions. ``error``: why the policy could not go on (`rollout.policy.Fallible`) and the
     episode ended, empty where it could. ``peak_force`` is that of ``force``, ``peak_finger_force`` [N] that of both
     fingers together, None in records of older versions. ``skipped_homes`` had no room for the episode, so that ``home``
-    took their place. ``config_hash`` names the configuration of the run folder that
-    the record belongs to (`store.config_hash`); it is empty outside of a run folder and in those of older versions, and
-    takes no part in comparisons.
+    took their place. ``perturbation``: what was perturbed, by axis (`config.perturbing`), or empty. ``config_hash``
+    names the configuration of the run folder that the record belongs to (`store.config_hash`); it is empty outside of a
+    run folder and in those of older versions, and takes no part in comparisons.
     """
 
     seed: int
@@ -152,6 +153,7 @@ class EpisodeRecord:
     config_hash: str = field(default="", compare=False)
     peak_finger_force: float | None = None
     skipped_homes: tuple[str, ...] = ()
+    perturbation: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def steps_to_success(self) -> int | None:
@@ -229,6 +231,7 @@ def _values(data: Mapping[str, Any]) -> dict[str, Any]:
     for name in ("peak_force", "cumulative_force", "seconds"):
         values[name] = _number(name, data[name])
     values["style"] = dict(data.get("style", {}))
+    values["perturbation"] = _mapping("perturbation", data.get("perturbation", {}))
     values["instruction"] = _sentence(data.get("instruction", ""))
     values["instructions"] = tuple(
         _sentence(text) for text in data.get("instructions", ())
@@ -280,6 +283,13 @@ def _check_list(name: str, value: Any) -> None:
     """Refuse what can be gone through like a list, but is none: keys of an object, characters of a text."""
     if isinstance(value, Mapping | str):
         raise ValueError(f"{name} must be a list, not {str(value)[:60]!r}.")
+
+
+def _mapping(name: str, value: Any) -> dict[str, Any]:
+    """An object that was read from a file."""
+    if not isinstance(value, Mapping):
+        raise ValueError(f"{name} must be an object, not {str(value)[:60]!r}.")
+    return dict(value)
 
 
 def _truth(name: str, value: Any) -> bool:

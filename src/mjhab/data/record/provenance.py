@@ -54,6 +54,8 @@ _VIEW = frozenset(
     }
 )
 """Environment options that change the observations and rewards of an episode, but not its physics or outcome."""
+_LATER = frozenset({"perturb", "randomise"})
+"""Environment options that are left out where they are empty: recordings without them stay as they were."""
 TRAIN_MAKER = "make_train"
 """``config["maker"]`` of runs in SubtaskTrain environments; runs in environments of `mjhab.envs.make` have none."""
 BUILTIN_LICENCE = "Apache-2.0: homes, furniture and objects made by the code of mjhab"
@@ -73,7 +75,11 @@ def describe_run(
         name: _plain(value) for name, value in dataclasses.asdict(env.config).items()
     }
     config: dict[str, Any] = {
-        "env": {k: v for k, v in options.items() if k not in _FREE | _VIEW},
+        "env": {
+            k: v
+            for k, v in options.items()
+            if k not in _FREE | _VIEW and (v or k not in _LATER)
+        },
         "policy": dict(policy),
     }
     if getattr(env.config, "trains", False):

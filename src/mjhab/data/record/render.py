@@ -185,7 +185,8 @@ def _draw(
         drawn = {}
         if env.observer.outputs:
             seen = None if target is None else target[steps]
-            drawn = env.observer.draw(state, [home] * env.num_envs, seen)
+            asked = (state, [home] * env.num_envs, seen)
+            drawn = env.observer.draw(*asked, *_moments(env, episode, steps))
         for w in worlds:
             for key, values in drawn.items():
                 if key.startswith(_IMAGE):
@@ -204,6 +205,18 @@ def _draw(
                 )
     arrays = {path: np.stack(values) for path, values in rows.items()}
     return arrays | stored_frames(files)
+
+
+def _moments(
+    env: RecordedEnv, episode: RecordedEpisode, steps: np.ndarray
+) -> tuple[Any, ...]:
+    """When states of an episode were seen, where something perturbed what was seen; else nothing."""
+    record = episode.record
+    perturber = env.observer.perturber if record.perturbation else None
+    if perturber is None:
+        return ()
+    first = perturber.moment(record.seed, record.index, 0)
+    return ([first._replace(step=int(step)) for step in steps],)
 
 
 def _with_images(

@@ -62,6 +62,11 @@ class Views(Protocol):
         """Name of every segmentation id; the index is the id."""
         ...
 
+    @property
+    def perturber(self) -> Any:
+        """What perturbs images, `envs.parts.perturbing.Perturber`; None for nothing."""
+        ...
+
     def calibration(self) -> dict[str, dict[str, Any]]:
         """Size, intrinsic matrix and mount of each camera as JSON data."""
         ...

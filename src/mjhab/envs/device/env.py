@@ -70,6 +70,7 @@ class DeviceEnv(TaskLoop, VectorEnv):
             raise UsageError(
                 "backend 'warp' gives no human views; leave render_mode empty, or use backend='cpu'"
             )
+        config.perturbations.check_device()
         check_device_memory(
             config.num_envs,
             WorldPictures(config.obs_mode, config.camera_size, len(config.cameras)),

@@ -19,6 +19,7 @@ from mjhab.envs.device.fields import GoalFields
 from mjhab.envs.device.teleport_poses import find_teleport_poses
 from mjhab.envs.parts.plan_tables import PlanTables, Rows
 from mjhab.episodes.episode import Episode
+from mjhab.episodes.perturbing import as_perturbed
 from mjhab.episodes.source import EpisodeSource
 from mjhab.episodes.starts import Start
 from mjhab.sim.warp.simulator import WarpSimulator
@@ -147,6 +148,7 @@ class StartPool:
             if spec_of(start.plan.subtasks[0].kind).navigates:
                 qpos = qpos.copy()
                 qpos[source.starts.sim.addresses.robot_q] = teleport_poses[0]
+        episode = as_perturbed(episode, start)
         return _Made(episode, start, qpos, teleport_poses, fallback)
 
     def _find_fields(

@@ -39,6 +39,7 @@ from mjhab.tasks.signals import Signals
 from mjhab.tasks.subtasks.registry import SUBTASKS, properties
 
 if TYPE_CHECKING:
+    from mjhab.envs.parts.perturbing import PerturbedMoment, Perturber
     from mjhab.render.home_scene import HomeRenderer
 
 
@@ -172,6 +173,8 @@ class Observer(ObservedRows):
         self._renderer: HomeRenderer | None = None
         self._remembers = remembers
         self._drawn: DrawnImages | None = None
+        self.perturber: Perturber | None = None
+        """What perturbs images; None for nothing."""
 
     @property
     def renderer(self) -> HomeRenderer:
@@ -217,10 +220,11 @@ class Observer(ObservedRows):
                 known = self._drawn.images
                 changed = self._drawn.outdated(state, homes, target)
             if known is None or changed is None or changed.all():
-                images = self.draw(state, homes, target)
+                images = self.draw(state, homes, target, self._moments())
             else:
                 images = self._drawn_again(known, changed, state, homes, target)
-            if self._remembers:
+            # Noise of sensing is another one in every control step.
+            if self._remembers and self.perturber is None:
                 self._drawn = DrawnImages(images, state, homes, target)
             obs |= images
         return obs
@@ -236,28 +240,47 @@ class Observer(ObservedRows):
         """The images (W, ...) of ``known``, with those of the worlds ``changed`` drawn again."""
         images = {entry.key: known[entry.key].copy() for entry in self.camera_rows}
         worlds = np.flatnonzero(changed)
+        moments = self._moments()
         if len(worlds):
             drawn = self.draw(
                 map_record(lambda rows: rows[worlds], state),
                 [homes[w] for w in worlds.tolist()],
                 target if target is None else target[worlds],
+                [moments[w] for w in worlds.tolist()] if moments else (),
             )
             for key, rows in drawn.items():
                 images[key][worlds] = rows
         return images
 
+    def _moments(self) -> Sequence[PerturbedMoment]:
+        """The present moments of all worlds; () if no image is perturbed."""
+        return () if self.perturber is None else self.perturber.moments()
+
     def draw(
-        self, state: SimState, homes: Sequence[str], target: np.ndarray | None = None
+        self,
+        state: SimState,
+        homes: Sequence[str],
+        target: np.ndarray | None = None,
+        moments: Sequence[PerturbedMoment] = (),
     ) -> dict[str, np.ndarray]:
         """Draw the camera images of the worlds of ``state`` and compute the camera rows (W, ...) from them.
 
-        ``target``: for views of the target, see `target_in_base`.
+        Args:
+            state: poses of the bodies.
+            homes: (W,) names of the worlds' homes.
+            target: for views of the target, see `target_in_base`.
+            moments: (W,) when the images are taken, for what perturbs them; () for images as they are.
         """
         pos, mat = self.renderer.camera_poses(state, self.cameras)
+        perturber = self.perturber if len(moments) else None
+        changed = None if perturber is None else perturber.mounts(moments, self.cameras)
         images: dict[str, np.ndarray] = {}
         if self.drawn:
+            more: tuple[str, ...] = ()
+            if perturber is not None and "rgb" in self.drawn:
+                more = tuple(sorted(perturber.needs - {*self.drawn}))
             images = self.renderer.robot_views(
-                state, homes, self.size, self.drawn, self.cameras
+                state, homes, self.size, (*self.drawn, *more), self.cameras, changed
             )
         if TARGET_DEPTH in self.outputs:
             assert target is not None
@@ -267,6 +290,12 @@ class Observer(ObservedRows):
             images[TARGET_DEPTH] = target_views(
                 self.renderer, state, homes, place, self.size, self.cameras
             )
+        if perturber is not None:
+            fovy = self.renderer.fields_of_view(self.cameras)
+            seen = (pos, mat, np.broadcast_to(fovy, pos.shape[:2]))
+            _, true_mat, true_fovy = changed.applied(*seen) if changed else seen
+            focal = 0.5 * self.size[0] / np.tan(0.5 * true_fovy)
+            perturber.pictures(moments, images, true_mat, focal)
         views = CameraInputs(
             self.robot, images, pos, mat, state.robot_q[:, BASE], self._intrinsic
         )

@@ -9,11 +9,14 @@ from typing import Any
 import numpy as np
 
 from mjhab.config.env import EnvConfig
+from mjhab.config.perturbing import described
 from mjhab.core.arrays import may_hold
 from mjhab.core.typed.frozen import FrozenMap
+from mjhab.envs.parts.perturbing import in_other_words
 from mjhab.episodes.episode import Episode
 from mjhab.episodes.narration import InstructionGenerator
 from mjhab.layout.layout import Layout
+from mjhab.robots.registry import robot_named
 from mjhab.tasks.plan import TaskPlan
 
 CHECKERS = (
@@ -114,7 +117,8 @@ def describe_episode(
 ) -> Mapping[str, Any]:
     """Describe an episode for `info`: seed, index, home, plan and instructions, read-only.
 
-    "skipped_homes", names of homes without room in whose place its home was taken, is there only if there are any.
+    "skipped_homes", names of homes without room in whose place its home was taken, is there only if there are any;
+    "perturbation", what was drawn by axis (`perturbing.described`), only if something is perturbed.
 
     Args:
         episode: the episode.
@@ -126,6 +130,11 @@ def describe_episode(
         {"kind": s.name, "target": s.target, "goal": s.goal_pos} for s in plan.subtasks
     )
     sentences = narrator.instructions(episode, plan, alone=bool(config.subtask))
+    robot = robot_named(config.robot)
+    drawn = config.perturbations.drawn(episode.seed, episode.index, robot)
+    sentences = in_other_words(drawn, sentences)
+    told = described(drawn, episode.perturbed)
+    perturbed = FrozenMap({axis: FrozenMap(values) for axis, values in told.items()})
     skipped = episode.skipped_homes
     # The same object is in every info until the next episode; it is read-only, so that callers cannot change it.
     return FrozenMap(
@@ -140,6 +149,7 @@ def describe_episode(
             "instruction": sentences.task,
             "instructions": sentences.subtasks,
             **({"skipped_homes": skipped} if skipped else {}),
+            **({"perturbation": perturbed} if perturbed else {}),
         }
     )
 

@@ -192,7 +192,7 @@ class StartMaker:
         if not self.config.subtask:
             qpos, fallback, tries = self.roam(episode, self.episode_qpos(episode))
             return Start(plan, home.name, qpos, boxes, fallback, tries=tries)
-        return self.start_at(episode, plan, self._pick_position(plan, episode))
+        return self.start_at(episode, plan, self.position_of(plan, episode))
 
     def start_at(self, episode: Episode, plan: TaskPlan, position: int) -> Start:
         """Return the start of the subtask at a position of the episode's plan alone; see `start`."""
@@ -259,7 +259,7 @@ class StartMaker:
             self._state.park(qpos, situation.subtask.obj)
         return qpos
 
-    def _pick_position(self, plan: TaskPlan, episode: Episode) -> int:
+    def position_of(self, plan: TaskPlan, episode: Episode) -> int:
         found = subtask_positions(
             plan, self.layout, self.config.subtask, self.config.target
         )

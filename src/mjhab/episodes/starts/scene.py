@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -29,6 +30,7 @@ class Start:
         fallback: the spawn is that of `SpawnSampler.fallback`.
         position: position of the subtask in the episode's chain, 0 for a whole chain.
         tries: sampled spawns.
+        perturbed: what came of perturbations of the start, by axis.
     """
 
     plan: TaskPlan
@@ -38,6 +40,7 @@ class Start:
     fallback: bool
     position: int = 0
     tries: int = 1
+    perturbed: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)

@@ -23,7 +23,7 @@ class ViewBatch(NamedTuple):
         home: (W,) i64 index of each world's home.
         body_pos, body_mat: (W, B, 3) [m], (W, B, 3, 3) f64 world poses of the bodies.
         cam_pos, cam_mat: (W, C, 3) [m], (W, C, 3, 3) f64 world poses of the cameras, as in `Lens`.
-        focal: (C,) f64 [px].
+        focal: (W, C) f64 [px].
         level_error: see `Lens` [px].
         rgb, depth, seg: (W, C, h, w, 3) u8, (W, C, h, w) f32, (W, C, h, w) i32; C is 0 for outputs not requested.
     """
@@ -79,7 +79,7 @@ def draw_worlds(scenery, views, turn, near, cull, cell, stride, buffers):
             lens = Lens(
                 views.cam_pos[world, camera],
                 views.cam_mat[world, camera],
-                views.focal[camera],
+                views.focal[world, camera],
                 near,
                 views.level_error,
             )

@@ -84,7 +84,7 @@ class Cameras:
 
     Attributes:
         pos, mat: (W, C, 3) [m] and (W, C, 3, 3) (or (W, C, 9)) in the world.
-        fovy: vertical field of view [rad], one number or (C,).
+        fovy: vertical field of view [rad], one number, (C,) or (W, C).
         width, height: image size [px].
         level_error: largest projected error of a level of detail that may replace a mesh [px].
     """
@@ -190,8 +190,8 @@ class Rasterizer:
         body_pos = _array(body_pos, (len(home), -1, 3), "body_pos")
         body_mat = _array(body_mat, (len(home), body_pos.shape[1], 3, 3), "body_mat")
         self._check(home, body_pos.shape[1], width, height)
-        fovy = np.broadcast_to(np.asarray(cameras.fovy, np.float64), (cam_pos.shape[1],))
-        focal = 0.5 * height / np.tan(0.5 * fovy)
+        fovy = np.asarray(cameras.fovy, np.float64)
+        focal = np.broadcast_to(0.5 * height / np.tan(0.5 * fovy), cam_pos.shape[:2])
         samples = ssaa or (2 if quality == "nice" else 1)
         views = ViewBatch(
             home,
@@ -199,7 +199,7 @@ class Rasterizer:
             body_mat,
             cam_pos,
             cam_mat,
-            focal,
+            read_only(focal),
             float(cameras.level_error),
             **_images((len(home), cam_pos.shape[1], height, width), outputs),
         )
@@ -273,7 +273,7 @@ class Rasterizer:
         lens = Lens(
             views.cam_pos[w, c],
             views.cam_mat[w, c],
-            float(views.focal[c]),
+            float(views.focal[w, c]),
             NEAR,
             views.level_error,
         )

@@ -91,13 +91,29 @@ def paired(first: Sequence[EpisodeRecord], second: Sequence[EpisodeRecord]) -> P
         neither=sum(not (a or b) for a, b, _ in outcomes),
         only_a=tuple(index for a, b, index in outcomes if a and not b),
         only_b=tuple(index for a, b, index in outcomes if b and not a),
-        labels=tuple(
-            (before, after, count)
-            for (before, after), count in sorted(
-                changes.items(), key=lambda item: (-item[1], item[0])
-            )
-        ),
+        labels=_by_count(changes),
     )
+
+
+def together(parts: Sequence[Paired]) -> Paired:
+    """Pairs of several groups of episodes as one; indices are those within the groups."""
+    labels: Counter[tuple[str, str]] = Counter()
+    for part in parts:
+        for before, after, count in part.labels:
+            labels[before, after] += count
+    return Paired(
+        both=sum(part.both for part in parts),
+        neither=sum(part.neither for part in parts),
+        only_a=tuple(index for part in parts for index in part.only_a),
+        only_b=tuple(index for part in parts for index in part.only_b),
+        labels=_by_count(labels),
+    )
+
+
+def _by_count(changes: Counter[tuple[str, str]]) -> tuple[tuple[str, str, int], ...]:
+    """Changes of labels and their numbers, the most frequent first."""
+    ordered = sorted(changes.items(), key=lambda item: (-item[1], item[0]))
+    return tuple((before, after, count) for (before, after), count in ordered)
 
 
 def _label_changes(a: EpisodeRecord, b: EpisodeRecord) -> list[tuple[str, str]]:

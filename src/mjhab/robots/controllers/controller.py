@@ -127,6 +127,11 @@ class Controller:
         }
         self._zeroed = [column for part in stationary for column in parts[part]]
 
+    @property
+    def base_columns(self) -> range:
+        """Columns of the base in actions."""
+        return range(self._base, self.dim)
+
     def _keep_arrays(self, like: Array) -> None:
         """Make the index arrays, units and bounds that `command` uses, on the device of ``like``."""
         start = self.gripper + 1

@@ -1,0 +1,1 @@
+"""The axes of perturbations that come with mjhab, one file each, see `config.perturbing`."""

@@ -1,0 +1,72 @@
+"""Colours: furniture, walls, objects and the robot in other ones."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from mjhab.config.perturbing import Drawn, Perturbation, PictureFrame, Quantity
+from mjhab.envs.perturbations.pixels import from_linear, to_linear
+
+IDS = 1024
+"""Segments whose colours are drawn; the one with id i has those of number i modulo IDS."""
+LUMA = (0.2126, 0.7152, 0.0722)
+"""Shares of red, green and blue in the brightness of linear light (ITU-R BT.709)."""
+
+
+class ColoursAxis(Perturbation):
+    """Every segment of colour images has another hue, saturation and brightness; patterns keep their shape."""
+
+    name = "colours"
+    about = "hue, saturation and brightness of every piece of furniture, link and object"
+    quantities = {  # noqa: RUF012
+        "hue": Quantity(
+            "deg", (10.0, 20.0, 40.0, 80.0, 180.0), "largest turn of the hue"
+        ),
+        "saturation": Quantity(
+            "", (0.1, 0.2, 0.4, 0.6, 0.8), "largest change of the saturation"
+        ),
+        "brightness": Quantity(
+            "", (0.05, 0.1, 0.2, 0.3, 0.4), "largest change of the brightness"
+        ),
+    }
+    needs = ("seg",)
+
+    def picture(
+        self, drawn: Drawn, images: Mapping[str, np.ndarray], frame: PictureFrame
+    ) -> None:
+        """Change "rgb", segment by segment."""
+        if "rgb" not in images:
+            return
+        mixes = _mixes(drawn)
+        for rgb, seg in zip(images["rgb"], images["seg"], strict=True):
+            light = to_linear(rgb)
+            mixed = np.einsum("yxab,yxb->yxa", mixes[seg % IDS], light)
+            rgb[:] = from_linear(np.maximum(mixed, np.float32(0.0)))
+
+
+def _mixes(drawn: Drawn) -> np.ndarray:
+    """(IDS, 3, 3) float32, the matrix of each segment in linear light; that of the background changes nothing."""
+    random = drawn.stream()
+    size = drawn.amounts
+    hue = np.radians(size["hue"]) * random.uniform(-1.0, 1.0, IDS)
+    saturation = 1.0 + size["saturation"] * random.uniform(-1.0, 1.0, IDS)
+    brightness = 1.0 + size["brightness"] * random.uniform(-1.0, 1.0, IDS)
+    # Colours are turned about the axis of greys, and drawn towards their brightness or away from it.
+    cos, sin = np.cos(hue), np.sin(hue) / np.sqrt(3.0)
+    mean = (1.0 - cos) / 3.0
+    turn = np.empty((IDS, 3, 3))
+    for row in range(3):
+        turn[:, row, row] = cos + mean
+        turn[:, row, (row + 1) % 3] = mean - sin
+        turn[:, row, (row + 2) % 3] = mean + sin
+    grey = np.broadcast_to(np.array(LUMA), (3, 3))
+    keep = saturation[:, None, None]
+    mixes = keep * np.eye(3) + (1.0 - keep) * grey
+    mixes = brightness[:, None, None] * (mixes @ turn)
+    mixes[0] = np.eye(3)
+    return mixes.astype(np.float32)
+
+
+COLOURS = ColoursAxis()

@@ -1,0 +1,487 @@
+"""Perturbations: what each axis changes, and that nothing else does; refusals; plug-ins."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import mjhab
+import mjhab.envs as envs
+from mjhab.config.env import EnvConfig
+from mjhab.config.perturbing import (
+    AXES,
+    LEVELS,
+    PERTURBATIONS,
+    Drawn,
+    Perturbation,
+    PerturbationPlan,
+    Quantity,
+    axes_text,
+    parse_axes,
+)
+from mjhab.core.errors import UsageError
+from mjhab.core.joints import BASE_XY
+from mjhab.core.rotations import pose_inv, pose_mul
+from mjhab.envs.perturbations.language import with_synonym, with_typo
+from mjhab.envs.perturbations.pixels import blurred, from_linear, normals, to_linear
+from mjhab.envs.sequential import SequentialTaskEnv
+from mjhab.robots.fetch.robot import ROBOT
+from mjhab.tasks.subtasks.registry import SUBTASKS
+
+PAGE = Path(__file__).parents[2] / "docs" / "perturbations.md"
+SIDE = 32
+RGB = "sensor_data/fetch_head/rgb"
+DEPTH = "sensor_data/fetch_head/depth"
+
+
+def build(perturb: Any = "", **options: Any) -> SequentialTaskEnv:
+    usual = {"task": "tidy_house", "subtask": "pick", "num_envs": 1, "threads": 1}
+    return envs.make(**{**usual, "autoreset": "disabled", "perturb": perturb, **options})
+
+
+def begin(env: SequentialTaskEnv, *indices: int, seed: int = 0) -> tuple[dict, dict]:
+    return env.reset(seed=seed, options={"episode": np.array(indices)})
+
+
+def walk(env: SequentialTaskEnv, steps: int, seed: int = 5) -> tuple[dict, dict]:
+    """Some control steps with the same actions in every world."""
+    random = np.random.default_rng(seed)
+    obs: dict = {}
+    info: dict = {}
+    for _ in range(steps):
+        action = random.uniform(-1, 1, (1, ROBOT.action.dim)).astype(np.float32)
+        obs, _, _, _, info = env.step(np.repeat(action, env.num_envs, axis=0))
+    return obs, info
+
+
+@pytest.fixture(scope="module")
+def clean() -> dict[str, Any]:
+    """Observations, sentence and state of the episode without perturbations, at its start and after some steps."""
+    env = build(obs_mode="rgbd", camera_size=SIDE)
+    first, info = begin(env, 3)
+    start = env.state_digest(0)
+    last, _ = walk(env, 4)
+    spec = info["episode_spec"][0]
+    assert "perturbation" not in spec
+    found = {"first": first, "last": last, "spec": spec, "start": start}
+    found["end"] = env.state_digest(0)
+    env.close()
+    return found
+
+
+def perturbed(axes: str, steps: int = 4) -> dict[str, Any]:
+    """The same of the episode with perturbations."""
+    env = build(axes, obs_mode="rgbd", camera_size=SIDE)
+    first, info = begin(env, 3)
+    start = env.state_digest(0)
+    last, _ = walk(env, steps)
+    found = {"first": first, "last": last, "spec": info["episode_spec"][0]}
+    found |= {"start": start, "end": env.state_digest(0)}
+    env.close()
+    return found
+
+
+def same(one: Mapping[str, Any], other: Mapping[str, Any], *keys: str) -> bool:
+    return all(np.array_equal(one[key], other[key]) for key in keys)
+
+
+# -- what is asked for -------------------------------------------------------------------------------------------------
+
+
+def test_axes_are_read_in_one_form() -> None:
+    config = EnvConfig(perturb="noise:2, camera:3", randomise={"light": 1})
+    assert (config.perturb, config.randomise) == ("camera:3,noise:2", "light:1")
+    assert axes_text(parse_axes({"noise": 2, "camera": 3})) == config.perturb
+    assert parse_axes("all:2") == dict.fromkeys(AXES, 2)
+    assert not EnvConfig().perturbations and parse_axes(" , ") == {}
+
+
+@pytest.mark.parametrize(
+    ("asked", "words"),
+    [
+        ("camrea:3", "unknown axis of perturbation 'camrea'. Did you mean 'camera'?"),
+        ("camrea", "Did you mean 'camera'"),
+        ("camera:6", "level of camera must be 1 to 5, got 6"),
+        ("camera:0", "level of camera must be 1 to 5, got 0"),
+        ("camera", "perturb must be AXIS:LEVEL"),
+        ("camera:a", "perturb must be AXIS:LEVEL"),
+        ("all:2,noise:1", "unknown axis of perturbation 'all'"),
+        ("camera:1,camera:2", "names 'camera' twice"),
+        ({"camera": True}, "level of camera must be 1 to 5"),
+        ({"camera": 2.0}, "level of camera must be 1 to 5"),
+        (3, "perturb must be a text or a mapping"),
+    ],
+)
+def test_what_is_none_is_refused(asked: Any, words: str) -> None:
+    with pytest.raises(UsageError, match=re.escape(words)):
+        EnvConfig(perturb=asked)
+    with pytest.raises(UsageError, match="fixed or drawn"):
+        EnvConfig(perturb="light:1", randomise="light:2")
+
+
+def test_levels_are_numbers_that_grow() -> None:
+    assert set(PERTURBATIONS) >= set(AXES)
+    for name in AXES:
+        axis = PERTURBATIONS[name]
+        assert axis.name == name and axis.about and axis.hooks and axis.quantities
+        for quantity in axis.quantities.values():
+            falling = name == "layout" and quantity.unit == "m"
+            levels = quantity.levels[::-1] if falling else quantity.levels
+            assert len(levels) == LEVELS and list(levels) == sorted(levels)
+
+
+def test_the_page_lists_the_numbers() -> None:
+    page = PAGE.read_text(encoding="utf-8")
+    for name in AXES:
+        for key, quantity in PERTURBATIONS[name].quantities.items():
+            numbers = " | ".join(f"{value:g}" for value in quantity.levels)
+            row = f"| {name} | {key} | {quantity.meaning} | {quantity.unit or '-'} | {numbers} |"
+            assert row in page, row
+
+
+def test_draws_depend_on_seed_index_axis_and_level_alone() -> None:
+    both = PerturbationPlan({"camera": 3, "noise": 2}, {})
+    alone = PerturbationPlan({"camera": 3}, {})
+    (camera, _), (again,) = both.drawn(1, 7, ROBOT), alone.drawn(1, 7, ROBOT)
+    assert camera == again
+    others = [
+        alone.drawn(2, 7, ROBOT),
+        alone.drawn(1, 8, ROBOT),
+        PerturbationPlan({"camera": 4}, {}).drawn(1, 7, ROBOT),
+    ]
+    turns = [one.values["fetch_head"]["turn"] for (one,) in [(again,), *others]]
+    unit = [np.array(turn) / np.linalg.norm(turn) for turn in turns]
+    assert all(not np.allclose(unit[0], other) for other in unit[1:])
+
+
+def test_random_levels_are_drawn_per_episode() -> None:
+    plan = PerturbationPlan({}, {"noise": 2, "camera": 5})
+    levels = [
+        {one.axis: one.level for one in plan.drawn(0, index, ROBOT)}
+        for index in range(60)
+    ]
+    # Level 0 leaves an axis out.
+    assert {each.get("noise", 0) for each in levels} == {0, 1, 2}
+    assert {each.get("camera", 0) for each in levels} == {0, 1, 2, 3, 4, 5}
+
+
+# -- what changes, and what does not -----------------------------------------------------------------------------------
+
+
+def test_pictures_change_and_nothing_else(clean: dict[str, Any]) -> None:
+    state = ("state", "sensor_param/fetch_head/extrinsic_cv")
+    for axes, changed in (
+        ("camera:3", (RGB, DEPTH)),
+        ("light:3", (RGB,)),
+        ("colours:3", (RGB,)),
+    ):
+        found = perturbed(axes)
+        assert (found["start"], found["end"]) == (clean["start"], clean["end"]), axes
+        assert found["spec"]["instruction"] == clean["spec"]["instruction"]
+        assert tuple(found["spec"]["perturbation"]) == (axes.partition(":")[0],)
+        for moment in ("first", "last"):
+            one, other = found[moment], clean[moment]
+            assert same(one, other, *state), axes
+            for key in (RGB, DEPTH):
+                assert same(one, other, key) == (key not in changed), (axes, key)
+
+
+def test_noise_of_sensing_and_acting(clean: dict[str, Any]) -> None:
+    found = perturbed("noise:4")
+    assert found["start"] == clean["start"] and found["end"] != clean["end"]
+    depth, true = found["first"][DEPTH], clean["first"][DEPTH]
+    holes = (depth == 0) & (true > 0)
+    assert 0.05 < holes.mean() < 0.2
+    kept = ~holes & (true > 0)
+    assert set(np.unique(depth[kept] % 20)) == {0}
+    assert np.abs(depth[kept].astype(int) - true[kept]).max() <= 10
+    assert not same(found["first"], clean["first"], RGB)
+
+
+def test_actions_come_late() -> None:
+    """Without noise of their own, the states are those of the clean episode some steps before."""
+    env = build()
+    begin(env, 3)
+    action = np.full((1, ROBOT.action.dim), 0.6, np.float32)
+    still = env.controller.still(env.state)
+    still[:, env.controller.gripper] = env.grip
+    for each in (still, still, action):
+        env.step(each)
+    wanted = env.state_digest(0)
+    env.close()
+    late = Late()
+    with registered(late):
+        env = build("late:2")
+        begin(env, 3)
+        for _ in range(3):
+            env.step(action)
+        assert env.state_digest(0) == wanted
+        env.close()
+
+
+def test_language_says_the_same_in_other_words(clean: dict[str, Any]) -> None:
+    found = perturbed("language:4", steps=1)
+    assert found["start"] == clean["start"]
+    assert found["spec"]["instruction"] != clean["spec"]["instruction"]
+    assert found["spec"]["instructions"] == (found["spec"]["instruction"],)
+
+
+SENTENCES = (
+    "pick up the left master chef can from the right part of the kitchen counter",
+    "set the bowl down on the dining table",
+    "open the top right drawer of the kitchen counter",
+    "move the soup can on the table to another place there",
+    "set the table: put the bowl from the fridge on the dining table, then put the apple on the sofa",
+    "sort the groceries",
+)
+
+
+def test_no_level_of_language_leaks_an_id_or_loses_the_request() -> None:
+    axis = PERTURBATIONS["language"]
+    seen: dict[int, set[str]] = {}
+    for level in range(1, LEVELS + 1):
+        amounts = {n: q.levels[level - 1] for n, q in axis.quantities.items()}
+        for number, text in enumerate(SENTENCES):
+            for index in range(20):
+                drawn = Drawn("language", level, 0, index, amounts)
+                said = axis.sentence(drawn, text, number)
+                assert said == axis.sentence(drawn, text, number)
+                assert said.isprintable() and not re.search(r"[_{}]|\d", said)
+                if level == 1:
+                    assert text in said and said != text
+                seen.setdefault(level, set()).add(said)
+    assert all(len(said) > 30 for said in seen.values())
+    assert axis.sentence(Drawn("language", 5, 0, 0, amounts), "", 0) == ""
+
+
+def test_synonyms_and_typing_errors() -> None:
+    random = np.random.default_rng(0)
+    said = {with_synonym("set the table", random) for _ in range(20)}
+    assert said == {"lay the table"}
+    said = {with_synonym(SENTENCES[3], random) for _ in range(60)}
+    # "place" is a thing there, not what is asked for.
+    assert all(text.endswith("another place there") for text in said)
+    assert with_synonym("stare at it", random) == "stare at it"
+    for _ in range(200):
+        typed = with_typo("pick up the bowl", random)
+        assert abs(len(typed) - 16) <= 1 and typed.startswith("p")
+    assert with_typo("go to it", random) == "go to it"
+
+
+def test_the_robot_starts_elsewhere(clean: dict[str, Any]) -> None:
+    env = build("start:4", num_envs=2)
+    _, info = begin(env, 3, 4)
+    spec = info["episode_spec"][0]["perturbation"]["start"]
+    assert np.hypot(*spec["base"][:2]) == pytest.approx(0.2)
+    assert (
+        spec["redrawn"] >= 0 and info["episode_spec"][0]["home"] == clean["spec"]["home"]
+    )
+    here = env.state.robot_q[0, BASE_XY].copy()
+    env.close()
+    env = build()
+    begin(env, 3)
+    there = env.state.robot_q[0, BASE_XY]
+    # One control step of settling is part of a reset.
+    np.testing.assert_allclose(here - there, spec["base"][:2], atol=1e-6)
+    assert env.state_digest(0) == clean["start"]
+    env.close()
+
+
+def test_what_is_held_stays_in_the_hand() -> None:
+    poses = []
+    for axes in ("", "start:3"):
+        env = build(axes, subtask="place")
+        begin(env, 1)
+        start = env.source.start(env.make_episode(0, 1))
+        slot = env.layout.object_names.index(start.plan.subtasks[0].obj)
+        own = int(env.sim.addresses.object_q[slot])
+        hand = env.starts.sampler.scratch.tcp_pose(start.home, start.qpos)
+        poses.append(pose_mul(pose_inv(hand), start.qpos[own : own + 7]))
+        env.close()
+    np.testing.assert_allclose(poses[0], poses[1], atol=1e-9)
+
+
+def test_distractors_stand_beside_the_target() -> None:
+    env = build("layout:3", num_envs=2)
+    _, info = begin(env, 0, 2)
+    told = [spec["perturbation"]["layout"] for spec in info["episode_spec"]]
+    assert told[0]["distractors"] >= 1 and told[0]["redrawn"] < 20
+    # Nothing fits beside the other target: the objects stay, and the record tells it.
+    assert told[1] == {"level": 3, "redrawn": 20, "kept": True}
+    plain = build()
+    for index, moved in ((0, told[0]["distractors"]), (2, 0)):
+        one = env.make_episode(0, index)
+        other = plain.make_episode(0, index)
+        apart = np.linalg.norm(one.object_pose[:, :3] - other.object_pose[:, :3], axis=1)
+        assert (apart > 0.03).sum() == moved
+        targets = [env.layout.object_names.index(t.obj) for t in one.targets]
+        assert (apart[targets] < 0.02).all()
+    env.close()
+    plain.close()
+
+
+# -- reproducible ------------------------------------------------------------------------------------------------------
+
+
+def test_worlds_and_snapshots_do_not_matter() -> None:
+    axes = "camera:2,noise:3,start:2"
+    env = build(axes, num_envs=2, obs_mode="depth", camera_size=SIDE)
+    begin(env, 4, 3)
+    walk(env, 3)
+    state = env.get_state(1)
+    # A restored world is awake, see `CpuSimulator.get_world`.
+    env.set_state(1, state)
+    obs, _ = walk(env, 3, seed=6)
+    wanted = env.state_digest(1)
+    begin(env, 3, 4)
+    env.set_state(0, state)
+    again, _ = walk(env, 3, seed=6)
+    assert env.state_digest(0) == wanted
+    np.testing.assert_array_equal(again[DEPTH][0], obs[DEPTH][1])
+    env.close()
+
+
+def test_recorded_episodes_are_replayed_and_drawn_again(tmp_path: Path) -> None:
+    asked = {"task": "tidy_house", "subtask": "pick", "horizon": 4, "worlds": 1}
+    made = {"policy": "random", "episodes": 1, "per_target": 0, "threads": 1}
+    axes = "camera:4,start:2,language:3,noise:2"
+    images = {"images": "depth", "camera_size": SIDE}
+    out = tmp_path / "set"
+    mjhab.generate(out=out, perturb=axes, **made, **asked, **images)
+    found = mjhab.replay(out, verify=True, worlds=1)
+    assert (found.exact, found.episodes) == (1, 1)
+
+
+# -- plug-ins and backends ---------------------------------------------------------------------------------------------
+
+
+class Late(Perturbation):
+    name = "late"
+    about = "late actions"
+    quantities = {"delay": Quantity("control steps", (1, 2, 3, 4, 5), "delay")}  # noqa: RUF012
+
+    def delay(self, drawn: Drawn) -> int:
+        return int(drawn.amounts["delay"])
+
+
+class Broken(Perturbation):
+    """Raises, or returns what it must not, where it is told."""
+
+    name = "broken"
+    about = "nothing good"
+
+    def __init__(self, act: Any = None, said: Any = None, start: Any = None) -> None:
+        self._act, self._said, self._start = act, said, start
+
+    def act(self, drawn: Drawn, action: Any, frame: Any, step: int) -> Any:
+        return action if self._act is None else self._act(action)
+
+    def sentence(self, drawn: Drawn, text: str, number: int) -> str:
+        return text if self._said is None else self._said(text)
+
+    def start(self, drawn: Drawn, scene: Any, attempt: int) -> Any:
+        return None if self._start is None else self._start(scene)
+
+
+@contextmanager
+def registered(axis: Perturbation) -> Iterator[None]:
+    mjhab.register_perturbation(axis)
+    try:
+        yield
+    finally:
+        PERTURBATIONS.remove(axis.name)
+
+
+def boom(*_: Any) -> Any:
+    raise KeyError("no such thing")
+
+
+@pytest.mark.parametrize(
+    ("broken", "words"),
+    [
+        (Broken(act=boom), "'broken': act raised KeyError: 'no such thing'"),
+        (Broken(act=lambda a: a[:3]), "act must return 13 finite numbers"),
+        (Broken(act=lambda a: a * np.nan), "act must return 13 finite numbers"),
+        (Broken(said=boom), "'broken': sentence raised KeyError"),
+        (Broken(said=lambda text: ""), "sentence must return one line of text, got ''"),
+        (Broken(said=lambda text: "a\nb"), "sentence must return one line of text"),
+        (Broken(start=boom), "'broken': start raised KeyError"),
+        (
+            Broken(start=lambda scene: (np.zeros(3), {})),
+            "start must return finite numbers",
+        ),
+    ],
+)
+def test_a_plugin_that_breaks_is_named(broken: Perturbation, words: str) -> None:
+    with registered(broken):
+        env = build("broken:1")
+        with pytest.raises(UsageError, match=re.escape(words)):
+            begin(env, 3)
+            walk(env, 1)
+        env.close()
+
+
+def test_registering() -> None:
+    class Nothing(Perturbation):
+        name = "nothing"
+
+    class Short(Late):
+        quantities = {"delay": Quantity("", (1.0, 2.0), "two levels")}  # noqa: RUF012
+
+    class Taken(Late):
+        name = "camera"
+
+    for axis, words in (
+        (Nothing(), "changes nothing"),
+        (Short(), "levels of delay must be 5 numbers"),
+        (Taken(), "'camera' is registered twice"),
+        (Late, "Make one first"),
+    ):
+        with pytest.raises(UsageError, match=words):
+            mjhab.register_perturbation(axis)  # type: ignore[arg-type]
+    assert "late" not in PERTURBATIONS
+
+
+def test_a_device_has_what_the_host_makes() -> None:
+    PerturbationPlan({"start": 3, "language": 1}, {"layout": 2}).check_device()
+    with pytest.raises(UsageError, match="does not perturb camera, noise, only") as no:
+        PerturbationPlan({"start": 3, "camera": 1}, {"noise": 2}).check_device()
+    assert no.value.given == ["camera", "noise"]
+
+
+# -- pixels ------------------------------------------------------------------------------------------------------------
+
+
+def test_pixels() -> None:
+    every = np.arange(256, dtype=np.uint8)
+    np.testing.assert_array_equal(from_linear(to_linear(every)), every)
+    brighter = from_linear(2.0 * to_linear(every)).astype(int)
+    assert (brighter[1:-1] > every[1:-1]).all() and brighter[-1] == 255
+    # A wall across the line of sight, and light from behind the camera.
+    wall = np.full((8, 8), 2.0, np.float32)
+    facing = normals(wall, 8.0, np.array([0, 0, 1], np.float32))
+    np.testing.assert_allclose(facing, 1.0, atol=1e-6)
+    assert not normals(np.zeros((8, 8), np.float32), 8.0, np.ones(3, np.float32)).any()
+    spot = np.zeros((1, 9, 9, 1), np.float32)
+    spot[0, 4, 4] = 1.0
+    soft = blurred(spot, 1.0)
+    assert soft.sum() == pytest.approx(1.0, abs=1e-5) and soft.max() < 0.2
+    np.testing.assert_allclose(soft, soft[:, ::-1, ::-1])
+
+
+def test_every_subtask_begins_with_every_axis() -> None:
+    """One control step of each kind with all axes at once."""
+    axes = ",".join(f"{axis}:2" for axis in AXES)
+    for kind in ("open", "close", "navigate"):
+        assert kind in SUBTASKS
+        env = build(axes, task="set_table", subtask=kind)
+        _, info = begin(env, 0)
+        assert set(info["episode_spec"][0]["perturbation"]) == set(AXES)
+        walk(env, 1)
+        env.close()

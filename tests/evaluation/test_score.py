@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +31,7 @@ from mjhab.evaluation.score.result import (
     ScoreResult,
     digest_of,
     manifest_of,
+    perturbed_arms,
     read_for_table,
     read_result,
     write_result,
@@ -38,6 +40,7 @@ from mjhab.evaluation.score.run import check_rules, score, scored_options
 from mjhab.evaluation.score.spec import ScoreSpec
 from mjhab.evaluation.score.summary import ScoredEpisode, summary_of
 from mjhab.rollout.records import SubtaskRecord
+from mjhab.rollout.store import read_records
 
 ALL_TRACKS = dict(manifests.TRACKS)
 ROWS = (
@@ -138,6 +141,67 @@ def test_facts_that_cannot_be_read_are_refused(
         write_result(
             tmp_path / "facts.json", {**scored.facts, name: value}, scored.episodes
         )
+
+
+def test_perturbed_arms_are_paired_with_the_clean_episodes(
+    result: tuple[Path, ScoreResult], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "score"
+    shutil.copytree(result[0].parent, out)
+    asked = ["--policy", "random", "--worlds", "2", "--threads", "1", "--out", str(out)]
+    assert main(["score", *asked, "--perturb", "language:2", "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    # What an axis does not change stays as it is: the sentences are told to a policy that does not listen.
+    assert told["axes"] == [
+        {
+            "axis": "language",
+            "level": 2,
+            "success_once": 0.0,
+            "difference": 0.0,
+            "low": told["axes"][0]["low"],
+            "high": -told["axes"][0]["low"],
+            "episodes": 3,
+        }
+    ]
+    assert set(told) == {"clean", "axes"} and told["clean"]["episodes"] == 3
+    scored = read_result(out / "result.json")
+    assert scored.summary == result[1].summary
+    assert perturbed_arms(scored.facts) == told["axes"]
+    assert check(scored, seed=1).wrong == {}
+    for row in ROWS:
+        folder = out / "perturbed" / "language_2" / row.name
+        for record in read_records(folder):
+            assert record.perturbation == {"language": {"level": 2}}
+            (plain,) = (
+                e.record
+                for e in scored.episodes
+                if (e.row, e.record.index) == (row.name, record.index)
+            )
+            assert record.final_state == plain.final_state
+            assert record.instruction != plain.instruction
+    details = json.loads((out / "robustness.json").read_text())
+    assert details["axes"][0]["labels"] == [] and details["axes"][0]["p"] == 1.0
+    page = (out / "robustness.html").read_text(encoding="utf-8")
+    assert "random, subtasks, under perturbations" in page and '"language 2"' in page
+    assert "| policy | language 2 |" in leaderboard([scored])
+    assert "Under perturbations" not in leaderboard([result[1]])
+
+
+@pytest.mark.parametrize(
+    "arms", [{}, [3], [{"axis": "light"}], [{"axis": "light", "level": True}]]
+)
+def test_arms_that_are_no_numbers_are_refused(
+    result: tuple[Path, ScoreResult], tmp_path: Path, arms: Any
+) -> None:
+    facts = {**result[1].facts, "perturbed": arms}
+    with pytest.raises(UsageError, match=r"was edited: facts\.perturbed must be"):
+        write_result(tmp_path / "arms.json", facts, result[1].episodes)
+
+
+def test_an_axis_that_is_none_is_refused_before_anything_is_run() -> None:
+    with pytest.raises(UsageError, match="Did you mean 'light'"):
+        ScoreSpec.of("random", perturb="lihgt:2")
+    assert ScoreSpec.of("random", perturb={"light": 2}).perturb == "light:2"
 
 
 def _won(record: Any) -> Any:

@@ -8,7 +8,13 @@ from itertools import product
 import numpy as np
 import pytest
 
-from mjhab.reports.compared.paired import NOT_REACHED, mcnemar, paired, paired_interval
+from mjhab.reports.compared.paired import (
+    NOT_REACHED,
+    mcnemar,
+    paired,
+    paired_interval,
+    together,
+)
 from mjhab.rollout.loop import rollout
 from mjhab.rollout.policy import RandomPolicy
 from mjhab.rollout.records import EpisodeRecord
@@ -73,3 +79,5 @@ def test_episodes_are_paired_by_seed_and_index() -> None:
     elsewhere = [dataclasses.replace(record, seed=4) for record in first]
     assert paired(first, elsewhere).episodes == 0
     assert paired(first, other[:3]).episodes == 3
+    whole = together([found, paired(first, first)])
+    assert (whole.episodes, whole.only_a, whole.labels) == (16, (won[0],), found.labels)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +17,7 @@ from mjhab.core.progress import progress_bar
 from mjhab.evaluation.evaluate import EvaluationInterrupted
 from mjhab.evaluation.score.check import CHECKED_EPISODES, check
 from mjhab.evaluation.score.leaderboard import leaderboard
+from mjhab.evaluation.score.perturbed import ROBUSTNESS_PAGE, score_perturbed
 from mjhab.evaluation.score.result import (
     RESULT_FILE,
     ScoreResult,
@@ -26,6 +27,8 @@ from mjhab.evaluation.score.result import (
 from mjhab.evaluation.score.run import score
 from mjhab.evaluation.score.spec import CheckSpec, LeaderboardSpec, ScoreSpec, StartsSpec
 from mjhab.evaluation.score.starts import write_starts
+from mjhab.evaluation.specs import EvalSpec
+from mjhab.reports.compared.page import points
 
 _MOST_SHOWN = 10
 
@@ -34,9 +37,13 @@ def run_score(spec: ScoreSpec, json: bool) -> int:
     """Run the command; returns 0, or 130 after Ctrl-C, or 1 if the policy could not finish an episode."""
     with sigterm_interrupts():
         try:
-            result = score(spec, lambda evaluation: [ProgressSink(evaluation)])
+            result = score(spec, _with_progress)
+            robustness = (
+                score_perturbed(spec, result, _with_progress) if spec.axes else None
+            )
         except EvaluationInterrupted:
             return stopped(f"finished episodes are kept in {spec.folder}", again="")
+    result = robustness.result if robustness else result
     # One policy may act in many rows.
     cautions = {
         policy.get("policy_caution", "")
@@ -45,9 +52,36 @@ def run_score(spec: ScoreSpec, json: bool) -> int:
     for caution in sorted(cautions):
         tell_caution({"policy_caution": caution})
     _tell_incomplete(result.summary)
-    report(json, _facts(result), *_listings(result, spec.folder))
+    facts = _facts(result)
+    parts = _listings(result, spec.folder)
+    if robustness:
+        axes = [arm.as_json() for arm in robustness.arms]
+        facts = {"clean": facts, "axes": axes}
+        parts += [_arms(axes), f"perturbed: {spec.folder / ROBUSTNESS_PAGE}"]
+    report(json, facts, *parts)
     # An episode that the policy could not finish says nothing of how good it is.
     return 1 if result.summary["errors"] else 0
+
+
+def _with_progress(evaluation: EvalSpec) -> list[ProgressSink]:
+    return [ProgressSink(evaluation)]
+
+
+def _arms(axes: Sequence[Mapping[str, Any]]) -> Listing:
+    """The table of a score's arms."""
+    rows = [
+        (
+            arm["axis"],
+            arm["level"],
+            arm["episodes"],
+            f"{100 * arm['success_once']:.1f} %",
+            points(arm["difference"]),
+            points(arm["low"], arm["high"]),
+        )
+        for arm in axes
+    ]
+    columns = ("axis", "level", "episodes", "success once", "difference", "95 % interval")
+    return Listing("Perturbed, beside the clean episodes", columns, rows)
 
 
 def _facts(result: ScoreResult) -> dict[str, object]:

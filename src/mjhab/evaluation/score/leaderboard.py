@@ -9,7 +9,7 @@ from typing import Any
 from mjhab.evaluation.score.capabilities import CAPABILITIES
 from mjhab.evaluation.score.manifest import BUILTIN_HOMES, TRACKS, Manifest
 from mjhab.evaluation.score.published import PUBLISHED_RESULTS, WHAT_DIFFERS
-from mjhab.evaluation.score.result import ScoreResult
+from mjhab.evaluation.score.result import ScoreResult, perturbed_arms
 from mjhab.reports.metrics import mean
 from mjhab.robots.registry import DEFAULT_ROBOT
 
@@ -47,6 +47,7 @@ def _section(results: Sequence[ScoreResult]) -> list[str]:
     rule = ", ends at failure / goes on" if asked.continuing else ""
     parts += [f"Score by row, per cent{rule}:", _rows(some, asked)]
     parts += ["Profile by capability, per cent (of subtasks):", _profile(some)]
+    parts += _perturbed(some)
     meanings = [f"{name}: {entry.meaning}" for name, entry in CAPABILITIES.items()]
     return [*parts, f"{'; '.join(meanings)}."]
 
@@ -122,6 +123,36 @@ def _capability_cell(entry: Mapping[str, Any]) -> str:
         if entry["rate"] is None
         else f"{_percent(entry['rate'])} ({entry['subtasks']})"
     )
+
+
+def _perturbed(results: Sequence[ScoreResult]) -> list[str]:
+    """Heading and table of the scores that were also run under perturbations; nothing if none was."""
+    arms = {
+        (arm["axis"], arm["level"]): None
+        for result in results
+        for arm in perturbed_arms(result.facts)
+    }
+    if not arms:
+        return []
+    rows = []
+    for result in results:
+        own = {(arm["axis"], arm["level"]): arm for arm in perturbed_arms(result.facts)}
+        if own:
+            rows.append((_policy(result), *(_arm_cell(own.get(key)) for key in arms)))
+    columns = ("policy", *(f"{axis} {level}" for axis, level in arms))
+    head = (
+        "Under perturbations: success once, and the difference to the same episodes without with its 95 % interval, "
+        "per cent (`mjhab score --perturb`; not part of what `mjhab score check` replays):"
+    )
+    return [head, _markdown(columns, rows)]
+
+
+def _arm_cell(arm: Mapping[str, Any] | None) -> str:
+    if arm is None:
+        return "-"
+    low, high = 100 * arm["low"], 100 * arm["high"]
+    told = f"{100 * arm['difference']:+.1f}, {low:+.0f} to {high:+.0f}"
+    return f"{_percent(arm['success_once'])} ({told})"
 
 
 def _percent(rate: float) -> str:

@@ -12,7 +12,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from mjhab.core.errors import UsageError
+from mjhab.core.errors import UsageError, about, wrong_type, wrong_value
 from mjhab.core.files.cache import write_atomic
 from mjhab.core.files.reading import parse_json
 from mjhab.evaluation.score.manifest import Manifest, ScoreHomes, ScoreRow, manifest
@@ -25,6 +25,16 @@ SUMMARY_FORMAT = "mjhab-score-summary"
 VERSION = 1
 RESULT_FILE = "result.json"
 MAX_FILE_BYTES = 1 << 30
+ARM_FIELDS: Mapping[str, Any] = {
+    "axis": str,
+    "level": int,
+    "success_once": int | float,
+    "difference": int | float,
+    "low": int | float,
+    "high": int | float,
+    "episodes": int,
+}
+"""What a result tells of each axis that its episodes were run under, by type."""
 
 
 @dataclass(frozen=True)
@@ -61,6 +71,27 @@ def manifest_of(facts: Mapping[str, Any]) -> Manifest:
     if not all(isinstance(value, str) for value in asdict(homes).values()):
         raise TypeError(f"facts.homes must be texts, got {facts['homes']!r}")
     return manifest(str(facts["track"]), str(facts["split"]), robot, homes)
+
+
+def perturbed_arms(facts: Mapping[str, Any]) -> list[Mapping[str, Any]]:
+    """Numbers of the arms of `mjhab score --perturb` in the facts of a result; empty without.
+
+    Raises:
+        UsageError: they are not such numbers.
+    """
+    arms = facts.get("perturbed", [])
+    if not isinstance(arms, list):
+        raise wrong_type("facts.perturbed", arms, "a list")
+    for arm in arms:
+        fits = isinstance(arm, dict) and all(
+            isinstance(arm.get(name), kind) and not isinstance(arm[name], bool)
+            for name, kind in ARM_FIELDS.items()
+        )
+        if not fits:
+            raise wrong_value(
+                "facts.perturbed", arm, f"arms with {', '.join(ARM_FIELDS)}"
+            )
+    return arms
 
 
 def write_result(
@@ -246,11 +277,13 @@ def _check_facts(path: Path, facts: Mapping[str, Any], asked: Manifest) -> None:
                 f"{path} was edited: facts.{name} must be a {kind.__name__}, got "
                 f"{facts.get(name)!r}."
             )
+    with about(f"{path} was edited"):
+        perturbed_arms(facts)
     policies = facts["policies"]
     for row in asked.rows:
-        about = policies.get(row.name)
-        if about is not None and not isinstance(
-            about.get("env_options") if isinstance(about, dict) else None, dict
+        told = policies.get(row.name)
+        if told is not None and not isinstance(
+            told.get("env_options") if isinstance(told, dict) else None, dict
         ):
             raise UsageError(
                 f"{path} was edited: facts.policies[{row.name!r}] has no env_options."

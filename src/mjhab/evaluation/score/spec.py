@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Annotated, Any, ClassVar
 
 from mjhab.config.env_spec import EnvSpec, env_options
+from mjhab.config.perturbing import axes_text, parse_axes
 from mjhab.core.typed.bounds import SEED, Bound, Output
 from mjhab.core.typed.flags import Flag
 from mjhab.core.typed.options import take_options
@@ -72,6 +73,11 @@ class ScoreSpec(TrackSpec):
     """Folder of the runs and of result.json; existing runs are continued."""
     episodes: Annotated[int | None, Flag(shown="default: all"), Bound(1)] = None
     """At most N episodes per row and seed, for a quick estimate; the score is marked as incomplete."""
+    perturb: Annotated[
+        str | Mapping[str, int], Flag(metavar="AXIS:LEVEL,...", kind=str)
+    ] = ""
+    """Run the same episodes once more under each of these axes alone, such as camera:3,light:2, or all:2 for every one
+    (see docs/perturbations.md), and compare in pairs; the score stays that of the clean episodes."""
     films: Annotated[int, Bound(most=10_000)] = 0
     """Film the first N episodes of each row and seed; films lie beside the reports in runs/."""
     env: Annotated[
@@ -94,8 +100,14 @@ class ScoreSpec(TrackSpec):
     def __post_init__(self) -> None:
         super().__post_init__()
         ROBOTS.check(self.asked.robot)
+        object.__setattr__(self, "perturb", axes_text(self.axes))
         given = given_to_server(self.served)
         object.__setattr__(self, "policy", with_options(self.policy, given))
+
+    @property
+    def axes(self) -> dict[str, int]:
+        """Axes of ``perturb`` and their levels."""
+        return parse_axes(self.perturb)
 
     @property
     def folder(self) -> Path:

@@ -96,7 +96,12 @@ INTEGER_SUMS = {
     "learning/reinforcement/session.py": {"self._outcomes"},
     "learning/runs/imitation.py": {"tried_in(self.place(out, name))"},
     "paper/reproduce/results.py": {"summary['demonstrations']"},
-    "reports/compared/paired.py": {"math.comb(coins, k)"},
+    "evaluation/score/perturbed.py": {"self.won.values()"},
+    "reports/compared/paired.py": {
+        "math.comb(coins, k)",
+        "part.both",
+        "part.neither",
+    },
     "reports/plots.py": {"counts[kind].values()"},
 }
 """Further sums of integers or truth values: what is added, by file."""

@@ -35,7 +35,7 @@ CLEAN = "clean"
 
 
 @dataclass(frozen=True)
-class Arm:
+class PerturbedArm:
     """The episodes of a score under one axis.
 
     Attributes:
@@ -93,7 +93,7 @@ class Robustness:
 
     result: ScoreResult
     success_once: float
-    arms: tuple[Arm, ...]
+    arms: tuple[PerturbedArm, ...]
 
 
 def score_perturbed(
@@ -127,7 +127,7 @@ def score_perturbed(
             records = _records(spec, result, row, axes_text({axis: level}), sinks)
             found[row.name] = paired(clean[row.name], records)
             won[row.name] = sum(record.success_once is True for record in records)
-        arms.append(Arm(axis, level, found, won))
+        arms.append(PerturbedArm(axis, level, found, won))
     numbers = [arm.as_json() for arm in arms]
     facts = {**result.facts, "perturbed": numbers}
     result = write_result(spec.folder / RESULT_FILE, facts, result.episodes)
@@ -237,7 +237,7 @@ def robustness_page(robustness: Robustness, clean: Sequence[EpisodeRecord]) -> s
     )
 
 
-def _cells(arm: Arm) -> tuple[object, ...]:
+def _cells(arm: PerturbedArm) -> tuple[object, ...]:
     found = arm.found
     return (
         arm.axis,

@@ -57,6 +57,9 @@ HEAVY: dict[str, frozenset[str]] = {
         {"sim", "render", "envs", "data", "learning", "integrations", "paper", "compat"}
     ),
     "safetensors": frozenset({"learning"}),
+    "mitsuba": frozenset({"render"}),
+    "mitsuba_oidn": frozenset({"render"}),
+    "drjit": frozenset({"render"}),
     "h5py": frozenset({"data", "compat"}),
     "filelock": frozenset({"core"}),
     "platformdirs": frozenset({"core"}),

@@ -116,7 +116,10 @@ def test_homes_show(capsys: pytest.CaptureFixture[str]) -> None:
 def test_homes_render_writes_the_picture(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    def draw(pack: Any, home: str, view: str, width: int, height: int) -> np.ndarray:
+    def draw(
+        pack: Any, home: str, view: str, width: int, height: int, shading: Any
+    ) -> np.ndarray:
+        assert shading is None
         assert (home, view) == ("builtin_m0_00", "inside")
         return np.full((height, width, 3), 90, np.uint8)
 
@@ -131,12 +134,15 @@ def test_homes_render_writes_the_picture(
         "inside",
         *size,
     )
+    assert said.pop("seconds") >= 0.0
     assert said == {
         "home": "builtin_m0_00",
         "view": "inside",
         "width": 64,
         "height": 48,
-        "out": str(out),
+        "file": str(out),
+        "shader": "raster",
+        "samples": None,
     }
     assert Image.open(out).size == (64, 48)
 

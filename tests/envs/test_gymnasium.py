@@ -329,7 +329,7 @@ def test_other_libraries_see_that_gymnasium_made_the_classes() -> None:
         ("obs_mode", "segmentation", "'seg'"),
         ("obs_mode", "rgb+segmentation", "'seg'"),
         ("obs_mode", "state_dict", "obs_keys='nested'"),
-        ("shader_dir", "default", "Leave it out"),
+        ("shader_dir", "default", "shader='raster'"),
         ("sensor_configs", {"width": 64}, "camera_size=128"),
         ("max_episode_steps", 200, "horizon=N"),
         ("task_plans", [], "episodes_file='FILE'"),

@@ -12,13 +12,13 @@ import trimesh
 from mjhab.core.rotations import mat_from_quat
 from mjhab.layout.layout import Layout
 from mjhab.render.home_scene import build_render_scene
+from mjhab.render.models import MAX_TEXTURE_SIDE, DrawnHome, Model, home_models
 from mjhab.render.render_scene import RenderScene
 from mjhab.robots.fetch.robot import ROBOT
 from mjhab.scenes.builtin.materials import Material
 from mjhab.scenes.builtin.pack import builtin_pack
 from mjhab.scenes.shapes.meshes import Mesh
 from mjhab.viewer.drawn import glb as glb_file
-from mjhab.viewer.drawn.models import MAX_TEXTURE_SIDE, DrawnHome, Model, home_models
 from mjhab.viewer.drawn.posing import MAX_JUMP_M, Pose, Poser, between
 
 

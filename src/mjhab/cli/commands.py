@@ -331,6 +331,12 @@ COMMANDS: tuple[Command, ...] = (
         "bench.interact:bench_interact",
         spec="bench.specs:InteractSpec",
     ),
+    Command(
+        "bench photo",
+        "steps per second with path-traced pictures, as in the paper",
+        "bench.photo:bench_photo",
+        spec="bench.specs:PhotoSpec",
+    ),
     Command("examples", "copy the examples", "machine.examples:run_examples"),
     Command(
         "warmup", "compile kernels before they are needed", "machine.warmup:run_warmup"

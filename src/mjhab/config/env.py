@@ -28,6 +28,7 @@ from mjhab.core.typed.options import take_options
 from mjhab.robots.registry import DEFAULT_ROBOT, robot_named
 from mjhab.robots.robot import Robot
 from mjhab.scenes.pack_source import HOME_SUFFIXES, Assets, PackRequest, pack_request
+from mjhab.scenes.shading import RASTER, Shading, shading_of
 from mjhab.scenes.spec import HANDLE_POINTS, JOINT_DYNAMICS
 from mjhab.sim.backends import BACKENDS, check_device
 from mjhab.tasks.household.registry import TASKS
@@ -106,6 +107,14 @@ class EnvConfig:
     """Names of the robot's cameras, or one name; by default those of the profile, else all."""
     camera_size: Annotated[int | tuple[int, int], Bound(1, 4096)] = 128
     """Pixels of the camera images: their side, or height and width."""
+    shader: Annotated[str, Flag(metavar="raster|path")] = RASTER
+    """How colours are drawn: by the rasterizer, or as in a photograph by a path tracer (extra ``photo``, backend cpu).
+    Depth and segmentation are those of the rasterizer, whose geometry is traced."""
+    shading: Annotated[
+        Mapping[str, int | float | bool | str], Keyed("OPTION", "VALUE")
+    ] = field(default_factory=dict)
+    """Options of shader path: samples (paths per pixel, 4), light (midday or evening), variant (scalar_rgb, llvm_ad_rgb
+    or cuda_ad_rgb) and denoise (true), see `scenes.shading.Shading`."""
     obs_keys: Annotated[str, Flag(hidden=True)] = FLAT
     """Keys of observations: "flat" as in ``obs["extra/is_grasped"]``, "nested" as in ``obs["extra"]["is_grasped"]``, or
     "whole": the state as one vector, ``obs["state"]``, without its parts. Recorders take flat keys, wrappers flat or
@@ -336,6 +345,16 @@ class EnvConfig:
                     f"{name} is an option of backend 'warp'; leave it out with backend 'cpu'."
                 )
         check_device(self.backend, self.device)
+        if self.path_shading is not None and self.backend != "cpu":
+            raise UsageError(
+                f"shader {self.shader!r} draws with backend 'cpu' (got {self.backend!r}); its variant cuda_ad_rgb "
+                "takes the GPU there."
+            )
+
+    @property
+    def path_shading(self) -> Shading | None:
+        """The options of the path tracer, None for the rasterizer."""
+        return shading_of(self.shader, self.shading)
 
     @property
     def reward(self) -> str:

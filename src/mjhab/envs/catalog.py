@@ -41,7 +41,7 @@ _VIEWS = "render_mode='rgb_array' gives human views; there is one way of drawing
 OPTIONS_ELSEWHERE = {
     "robot_uids": f"Here it is robot={DEFAULT_ROBOT!r}.",
     "sensor_configs": "Here it is camera_size=128 or (height, width), and cameras=('CAMERA', ...).",
-    "shader_dir": f"Leave it out: {_VIEWS}",
+    "shader_dir": "Here it is shader='raster' or, for ray-traced pictures, shader='path'.",
     "human_render_camera_configs": f"Leave it out: {_VIEWS}",
     "viewer_camera_configs": f"Leave it out: {_VIEWS}",
     "max_episode_steps": "Here it is horizon=N, the control steps of every subtask.",
@@ -106,8 +106,8 @@ def make(**options: Any) -> Any:
             - where: split, home, assets, extra_objects, seed, episode_pool, spawns, spawn_rule, open_start,
               episodes_file
             - worlds: num_envs, threads, backend, device, starts, buffers, autoreset, joint_dynamics
-            - observations: obs_mode, cameras, camera_size, obs_keys, frame_stack, handle_points, object_axes,
-              joint_angles, render_mode
+            - observations: obs_mode, cameras, camera_size, shader, shading, obs_keys, frame_stack, handle_points,
+              object_axes, joint_angles, render_mode
             - actions: control_mode, base, stationary
             - reward: reward_mode, reward_scales, reward_formula, reward_normaliser
             - what is perturbed: perturb, randomise

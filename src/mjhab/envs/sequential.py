@@ -79,6 +79,7 @@ class SequentialTaskEnv(TaskLoop, VectorEnv):
             config.threads,
             # Otherwise a step alone resets worlds, and tells which.
             remembers=config.autoreset == "disabled",
+            shading=config.path_shading,
         )
         length = self.source.plan_length
         self.tables = PlanTables(self.layout, self.task_config, self.num_envs, length)

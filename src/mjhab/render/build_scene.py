@@ -385,6 +385,7 @@ class SceneBuilder:
                 [np.multiply(m.scale, PERIODS.get(m.pattern, (1.0, 1.0))) for m in looks]
             ),
             "mat_gloss": np.array([m.gloss for m in looks]),
+            "mat_kind": np.array([m.kind for m in looks]),
         }
 
     def _light_arrays(self) -> dict[str, np.ndarray]:

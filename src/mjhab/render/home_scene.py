@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Protocol
 
 import mujoco
 import numpy as np
@@ -21,10 +21,14 @@ from mjhab.render.raster.rasterizer import Cameras, Rasterizer, look_at
 from mjhab.render.render_scene import RenderScene
 from mjhab.scenes.builtin.materials import MATERIALS
 from mjhab.scenes.freespace import free_map
+from mjhab.scenes.shading import Shading
 from mjhab.scenes.spec import IDENTITY, PARKED, Geom, Home, Placement
 from mjhab.sim.mujoco.cpu import CpuSimulator
 from mjhab.sim.mujoco.settle import parked_robot_qpos
 from mjhab.sim.protocol import SimState
+
+if TYPE_CHECKING:
+    from mjhab.render.path_tracer.tracer import PathTracer
 
 VIEWS = ("top", "inside")
 ROBOT_LEVEL_ERROR = 0.4
@@ -198,14 +202,20 @@ def _placed(images: np.ndarray, rows: np.ndarray) -> np.ndarray:
 
 
 class HomeRenderer:
-    """Render the worlds of a simulator with the CPU rasterizer.
+    """Render the worlds of a simulator with the CPU rasterizer, their colours by the path tracer if that is asked for.
 
     Args:
         sim: provides the layout and the compiled models.
-        num_threads: number of threads; 0 uses one per core.
+        num_threads: number of threads of the rasterizer; 0 uses one per core.
+        shading: options of the path tracer; None draws colours with the rasterizer.
+
+    Raises:
+        UsageError: the path tracer cannot run here, see `path_tracer.library.mitsuba`.
     """
 
-    def __init__(self, sim: CpuSimulator, num_threads: int = 0) -> None:
+    def __init__(
+        self, sim: CpuSimulator, num_threads: int = 0, shading: Shading | None = None
+    ) -> None:
         self._sim = sim
         self.layout = sim.layout
         self._model = sim.model(sim.layout.pack.homes[0].name)
@@ -214,6 +224,33 @@ class HomeRenderer:
         self._home_index = {home.name: i for i, home in enumerate(sim.layout.pack.homes)}
         self._follow = FollowCamera(sim.model)
         self._mounts: dict[tuple[str, ...], _Mounts] = {}
+        self.tracer: PathTracer | None = None
+        if shading is not None:
+            from mjhab.render.path_tracer.tracer import PathTracer  # of the extra photo
+
+            self.tracer = PathTracer(self.scene, shading)
+
+    def render(
+        self,
+        home: np.ndarray,
+        body_pos: np.ndarray,
+        body_mat: np.ndarray,
+        cameras: Cameras,
+        outputs: Sequence[str],
+        quality: Literal["fast", "nice"] = "fast",
+    ) -> dict[str, np.ndarray]:
+        """As `Rasterizer.render`; colours are those of the path tracer if there is one."""
+        drawn = outputs
+        if self.tracer is not None:
+            drawn = [name for name in outputs if name != "rgb"]
+        images = {}
+        if drawn:
+            images = self.rasterizer.render(
+                home, body_pos, body_mat, cameras, drawn, quality
+            )
+        if self.tracer is not None and "rgb" in outputs:
+            images["rgb"] = self.tracer.render(home, body_pos, body_mat, cameras)
+        return images
 
     def robot_views(
         self,
@@ -251,7 +288,7 @@ class HomeRenderer:
             fovy = fovy[is_sane(state.body_pos, state.body_mat)]
         sane = is_sane(state.body_pos, state.body_mat)
         rows = slice(None) if sane.all() else sane
-        drawn = self.rasterizer.render(
+        drawn = self.render(
             index[rows],
             state.body_pos[rows],
             state.body_mat[rows],
@@ -344,7 +381,7 @@ class HomeRenderer:
         looks = [
             self._follow.look(home, state.robot_q[world, BASE]) for home, world in drawn
         ]
-        images = self.rasterizer.render(
+        images = self.render(
             self.home_numbers([home for home, _ in drawn]),
             state.body_pos[rows],
             state.body_mat[rows],
@@ -390,7 +427,7 @@ class HomeRenderer:
         data.qpos[self._sim.addresses.robot_q] = parked_robot_qpos(self.layout.robot)
         mujoco.mj_kinematics(model, data)
         mat = look_at(eye.tolist(), target.tolist())
-        images = self.rasterizer.render(
+        images = self.render(
             np.array([self._home_index[home]]),
             data.xpos[None],
             data.xmat.reshape(1, -1, 3, 3),

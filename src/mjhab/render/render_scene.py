@@ -40,6 +40,7 @@ class RenderScene:
         mat_pattern: (M,) bool, whether the texture is a pattern (see `patterns`) rather than an image.
         mat_size: (M, 2), size (u, v) of one period of a pattern [m].
         mat_gloss: (M,), 0 to 1.
+        mat_kind: (M,) str, `scenes.builtin.materials.Material.kind`.
         light_pos, light_color: (H, L, 3) [m], (H, L, 3) linear rgb times intensity; 0 marks an unused slot.
         texels: the textures.
         seg_names: names of the segments, by id.
@@ -70,6 +71,7 @@ class RenderScene:
     mat_pattern: np.ndarray
     mat_size: np.ndarray
     mat_gloss: np.ndarray
+    mat_kind: np.ndarray
     light_pos: np.ndarray
     light_color: np.ndarray
     texels: Texels

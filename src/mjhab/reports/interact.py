@@ -100,6 +100,96 @@ def interact_page(found: dict[str, Any], pictures: Mapping[str, np.ndarray]) -> 
     return render_sections("Interact benchmark", sections, plots)
 
 
+PAPER_PHOTO = (69.9, 19.9)
+"""Control steps/s of MS-HAB and of BEHAVIOR-1K with one ray-traced camera of 128 x 128 (App. A.5, RTX 4090)."""
+_PHOTO_COLUMNS = {
+    "samples": "paths per pixel",
+    "sps_mean": "control steps/s",
+    "sps_ci95": "± 95 %",
+    "reset_and_step_sps": "with the reset",
+    "rss_mb": "process [MB]",
+}
+
+
+def photo_figure(found: dict[str, Any]) -> Figure:
+    """Speed over paths per pixel, and what the paper reports."""
+    points = sorted(found["points"], key=lambda point: point["samples"])
+    samples = [point["samples"] for point in points]
+    ours = {
+        "x": samples,
+        "y": [p["sps_mean"] for p in points],
+        "error_y": {"type": "data", "array": [p["sps_ci95"] or 0.0 for p in points]},
+        "type": "scatter",
+        "mode": "lines+markers",
+        "line": {"color": "#2563eb"},
+        "name": f"mjhab, {found['variant']}",
+    }
+    names = ("MS-HAB, RTX 4090", "BEHAVIOR-1K, RTX 4090")
+    paper = [
+        {
+            "x": samples,
+            "y": [sps] * len(samples),
+            "type": "scatter",
+            "mode": "lines",
+            "line": {"color": color, "dash": "dash"},
+            "name": name,
+        }
+        for name, sps, (_, _, _, _, color) in zip(names, PAPER_PHOTO, PAPER, strict=True)
+    ]
+    layout = {
+        "xaxis": {
+            "title": {"text": "paths per pixel"},
+            "type": "log",
+            "tickvals": samples,
+        },
+        "yaxis": {
+            "title": {"text": "control steps per second"},
+            "type": "log",
+            "dtick": 1,
+        },
+        "height": 460,
+    }
+    return {"data": [ours, *paper], "layout": layout}
+
+
+def photo_page(
+    found: dict[str, Any], pictures: Mapping[int, Mapping[str, np.ndarray]]
+) -> str:
+    """The report of ``bench photo``: the plot, the numbers, and what the camera saw.
+
+    Args:
+        found: see ``measure_photo``.
+        pictures: by paths per pixel "rgb" (1, h, w, 3) uint8 and "depth" (1, h, w) float32 [m].
+    """
+    hint = (
+        f"{found['steps']} control steps in {found['home']}, {found['runs']} runs of each point, one picture of "
+        f"{found['size']} x {found['size']} RGB-D in every step; whiskers: 95 % confidence. Dashed: what the MS-HAB "
+        "paper reports with its ray tracer."
+    )
+    points = sorted(found["points"], key=lambda point: point["samples"])
+    rows = [
+        ["-" if p[key] is None else f"{p[key]:,}" for key in _PHOTO_COLUMNS]
+        for p in points
+    ]
+    heads = [(title, "n") for title in _PHOTO_COLUMNS.values()]
+    sections = [
+        Section("Speed over paths per pixel", hint, chart="photo"),
+        Section("Numbers", "", columns=heads, rows=rows),
+    ]
+    for samples, images in pictures.items():
+        sections.append(
+            Section(
+                f"{samples} paths per pixel",
+                "The last step: colour and depth.",
+                picture=_strip(images),
+                picture_says=f"colour and depth with {samples} paths per pixel",
+            )
+        )
+    return render_sections(
+        "Pictures by the path tracer", sections, {"photo": photo_figure(found)}
+    )
+
+
 _COLUMNS = {
     "worlds": "worlds",
     "sps_mean": "control steps/s",

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from mjhab.render.build_scene import SceneBuilder
+from mjhab.render.models import home_models
 from mjhab.render.raster.rasterizer import Cameras, Rasterizer, look_at
 from mjhab.scenes.replica_cad.looks import MeshFiles
 from mjhab.scenes.shapes.meshes import Mesh
-from mjhab.viewer.drawn.models import home_models
 from tests.render.own_meshes import CUBES, HALF_M, cube
 from tests.render.raster.test_rasterizer import box_depth, rays
 from tests.scenes.formats.glb import BOX, BOX_FACES, write_glb

@@ -21,6 +21,7 @@ EXTRAS = {
     "learn": ("safetensors", "tensorboard", "torch"),
     "gpu": ("mujoco_warp", "torch", "warp"),
     "view": ("viser",),
+    "photo": ("mitsuba", "mitsuba_oidn"),
     "serve": ("msgpack", "websockets"),
     "scale": ("ray",),
 }

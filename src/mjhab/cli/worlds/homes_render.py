@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -15,12 +16,15 @@ from mjhab.core.files.cache import write_atomic
 from mjhab.core.progress import progress_bar
 from mjhab.core.typed.bounds import Bound, Output
 from mjhab.core.typed.flags import Flag
+from mjhab.scenes.shading import RASTER, Shading, shading_of
 
 PNG = ".png"
 HTML = ".html"
 ONE_SIZE = (1200, 900)
 SHEET_SIZE = (400, 300)
 """Default width and height of a single image, and of each image on a sheet [px]."""
+STILL_SAMPLES = 16
+"""Paths per pixel of shader path where nothing is said."""
 
 
 Side = Annotated[
@@ -53,9 +57,12 @@ class HomesRenderSpec(EnvSpec):
     height: Side = None
     """Height of the picture [px]."""
     env: Annotated[
-        Mapping[str, Any], env_options("assets", "split", shown={"split": "default: all"})
+        Mapping[str, Any],
+        env_options(
+            *("assets", "split", "shader", "shading"), shown={"split": "default: all"}
+        ),
     ] = field(default_factory=dict)
-    """The asset pack, and with ``all`` which of its homes."""
+    """The asset pack, with ``all`` which of its homes, and how they are drawn; shader path takes `STILL_SAMPLES`."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -70,6 +77,14 @@ class HomesRenderSpec(EnvSpec):
             raise UsageError(
                 "name a home (see: mjhab homes list), or draw all of them with --all."
             )
+
+    @property
+    def shading(self) -> Shading | None:
+        """The options of the path tracer, None for the rasterizer."""
+        asked = self.asked
+        if asked.shader == RASTER:
+            return asked.path_shading
+        return shading_of(asked.shader, {"samples": STILL_SAMPLES, **asked.shading})
 
     @property
     def size(self) -> tuple[int, int]:
@@ -100,7 +115,11 @@ def render_one(spec: HomesRenderSpec, json: bool) -> int:
     from mjhab.render.views import render_home
     from mjhab.scenes.packs import open_pack
 
-    image = render_home(open_pack(spec.asked.assets), home.name, spec.view, *spec.size)
+    begun = time.perf_counter()
+    image = render_home(
+        open_pack(spec.asked.assets), home.name, spec.view, *spec.size, spec.shading
+    )
+    seconds = round(time.perf_counter() - begun, 2)
     write_atomic(spec.out, Image.fromarray(image).save)
     height, width = image.shape[:2]
     facts = {
@@ -108,7 +127,10 @@ def render_one(spec: HomesRenderSpec, json: bool) -> int:
         "view": spec.view,
         "width": width,
         "height": height,
-        "out": str(spec.out),
+        "file": str(spec.out),
+        "seconds": seconds,
+        "shader": spec.asked.shader,
+        "samples": spec.shading.samples if spec.shading else None,
     }
     report(json, facts, f"drew {home.name} ({spec.view}) into {spec.out}")
     return 0
@@ -124,7 +146,8 @@ def render_sheet(spec: HomesRenderSpec, json: bool) -> int:
     homes = homes_of_split(pack, spec.env.get("split"))
     tiles = []
     with progress_bar("drawing homes", len(homes)) as advance:
-        images = render_homes(pack, [home.name for home in homes], spec.view, *spec.size)
+        names = [home.name for home in homes]
+        images = render_homes(pack, names, spec.view, *spec.size, spec.shading)
         for home, image in zip(homes, images, strict=True):
             tiles.append(
                 Tile(home.name, f"{home.split}, layout {home.macro}", home.note, image)

@@ -44,6 +44,8 @@ _VIEW = frozenset(
         "obs_mode",
         "cameras",
         "camera_size",
+        "shader",
+        "shading",
         "frame_stack",
         "handle_points",
         "object_axes",

@@ -136,10 +136,13 @@ def _rendered_options(shard: Path) -> dict[str, Mapping[str, Any]]:
 
 def _view_options(env: RecordedEnv, cameras: Sequence[str]) -> dict[str, Any]:
     """Options that determine the rendered images, as JSON data."""
+    shading = env.observer.shading
     return {
         "obs_mode": "+".join(env.observer.outputs) or "state",
         "cameras": list(cameras),
         "camera_size": list(env.observer.size),
+        # Of the rasterizer nothing is said, as in shards of before.
+        **({} if shading is None else {"shading": dataclasses.asdict(shading)}),
     }
 
 

@@ -58,6 +58,11 @@ class Views(Protocol):
         ...
 
     @property
+    def shading(self) -> Any:
+        """Options of the path tracer, a dataclass; None for the rasterizer."""
+        ...
+
+    @property
     def segmentation_names(self) -> Sequence[str]:
         """Name of every segmentation id; the index is the id."""
         ...

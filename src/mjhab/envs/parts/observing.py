@@ -33,6 +33,7 @@ from mjhab.envs.parts.drawn import DrawnImages
 from mjhab.envs.parts.plan_tables import Focus
 from mjhab.envs.parts.sensing import Sensing
 from mjhab.robots.robot import Robot
+from mjhab.scenes.shading import Shading
 from mjhab.sim.mujoco.cpu import CpuSimulator
 from mjhab.sim.protocol import SimState
 from mjhab.tasks.signals import Signals
@@ -147,9 +148,10 @@ class Observer(ObservedRows):
         threads: threads of the renderer, over images; 0 takes every core.
         remembers: keep a copy of the images, so that worlds that look as before are not drawn again: for environments
             of which some worlds are reset between steps.
+        shading: options of the path tracer; None takes the rasterizer.
 
     Raises:
-        UsageError: unknown mode or camera, size below 8 pixels.
+        UsageError: unknown mode or camera, size below 8 pixels, or the path tracer cannot run here.
     """
 
     def __init__(
@@ -162,8 +164,15 @@ class Observer(ObservedRows):
         threads: int = 0,
         *,
         remembers: bool = False,
+        shading: Shading | None = None,
     ) -> None:
         super().__init__(sim.layout.robot, mode, cameras, size)
+        self.shading = shading
+        if shading is not None:
+            from mjhab.render.path_tracer.library import mitsuba
+
+            # Now, and not when the first picture is drawn.
+            mitsuba(shading.variant)
         self._sim = sim
         self._sensing = sensing
         self._threads = threads
@@ -182,7 +191,7 @@ class Observer(ObservedRows):
         if self._renderer is None:
             from mjhab.render.home_scene import HomeRenderer  # loads numba and trimesh
 
-            self._renderer = HomeRenderer(self._sim, self._threads)
+            self._renderer = HomeRenderer(self._sim, self._threads, self.shading)
         return self._renderer
 
     @property

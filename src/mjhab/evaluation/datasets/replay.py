@@ -104,7 +104,12 @@ def _maker(spec: ReplaySpec) -> Callable[[RunInfo], RecordedEnv]:
     sight: dict[str, Any] = {"obs_mode": "state"}
     if spec.render is not None:
         drawn = spec.render if robot_cameras != () else "state"
-        sight = {"obs_mode": drawn, "camera_size": spec.asked.camera_size}
+        sight = {
+            "obs_mode": drawn,
+            "camera_size": spec.asked.camera_size,
+            "shader": spec.asked.shader,
+            "shading": spec.asked.shading,
+        }
         if robot_cameras:
             sight["cameras"] = robot_cameras
 

@@ -179,6 +179,8 @@ class ReplaySpec(SelectedSpec, EnvSpec):
             "num_envs",
             "camera_size",
             "threads",
+            "shader",
+            "shading",
             docs={
                 "num_envs": "Number of episodes simulated, or frames rendered, in parallel. Changes the speed, never "
                 "the results.",

@@ -79,10 +79,14 @@ def make_shade_scratch(instances: int, width: int) -> ShadeScratch:
 
 def tone_curve(entries: int = 16384) -> np.ndarray:
     """Compute the tone map: (entries,) uint8 sRGB over linear light 0..`TONE_RANGE`, compressed above 0.6."""
-    linear = np.linspace(0.0, TONE_RANGE, entries)
-    over = np.maximum(linear - 0.6, 0.0)
-    linear = np.minimum(linear, 0.6) + 0.4 * (1.0 - np.exp(-over / 0.4))
+    linear = compressed(np.linspace(0.0, TONE_RANGE, entries))
     return np.round(255.0 * linear_to_srgb(linear)).astype(np.uint8)
+
+
+def compressed(linear: np.ndarray) -> np.ndarray:
+    """Linear light 0 to infinity (any shape) in 0..1: up to 0.6 as it is, smoothly less above."""
+    over = np.maximum(linear - 0.6, 0.0)
+    return np.minimum(linear, 0.6) + 0.4 * (1.0 - np.exp(-over / 0.4))
 
 
 @color_inline

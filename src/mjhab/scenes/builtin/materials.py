@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 Pattern = Literal["plain", "wood", "planks", "tiles", "fabric", "stripes"]
+MaterialKind = Literal["", "metal", "glass", "lamp"]
 
 
 @dataclass(frozen=True)
@@ -13,7 +14,8 @@ class Material:
     """A material.
 
     ``color``: sRGB 0..1; ``pattern``: a key of `render.patterns.PERIODS`, or "plain"; ``color2``: second colour of the
-    pattern, None for a darker shade of the first; ``scale``: unit of length of the pattern [m]; ``gloss``: 0..1.
+    pattern, None for a darker shade of the first; ``scale``: unit of length of the pattern [m]; ``gloss``: 0..1;
+    ``kind``: what light does with it where it is traced (`render.path_tracer`), "" for paint, wood, stone and fabric.
     """
 
     color: tuple[float, float, float]
@@ -21,6 +23,7 @@ class Material:
     color2: tuple[float, float, float] | None = None
     scale: float = 0.1
     gloss: float = 0.1
+    kind: MaterialKind = ""
 
 
 MATERIALS: dict[str, Material] = {
@@ -38,7 +41,7 @@ MATERIALS: dict[str, Material] = {
     "floor_slate": Material((0.42, 0.44, 0.46), "tiles", (0.33, 0.35, 0.37), 0.45, 0.3),
     "floor_carpet": Material((0.62, 0.60, 0.57), "fabric", (0.56, 0.54, 0.51), 0.02, 0.0),
     "trim_white": Material((0.96, 0.96, 0.95), gloss=0.2),
-    "window_glass": Material((0.62, 0.80, 0.93), gloss=0.8),
+    "window_glass": Material((0.62, 0.80, 0.93), gloss=0.8, kind="glass"),
     "curtain": Material((0.90, 0.87, 0.80), "stripes", (0.84, 0.80, 0.72), 0.08, 0.0),
     # kitchen
     "worktop": Material((0.60, 0.44, 0.29), "wood", (0.52, 0.37, 0.23), 0.12, 0.3),
@@ -46,11 +49,11 @@ MATERIALS: dict[str, Material] = {
     "cabinet_carcass": Material((0.88, 0.87, 0.84), gloss=0.1),
     "cabinet_plinth": Material((0.16, 0.17, 0.18)),
     "drawer_inside": Material((0.86, 0.80, 0.70), "wood", (0.81, 0.74, 0.63), 0.1),
-    "steel": Material((0.74, 0.75, 0.77), gloss=0.7),
-    "brass": Material((0.78, 0.62, 0.33), gloss=0.6),
+    "steel": Material((0.74, 0.75, 0.77), gloss=0.7, kind="metal"),
+    "brass": Material((0.78, 0.62, 0.33), gloss=0.6, kind="metal"),
     "backsplash": Material((0.93, 0.93, 0.90), "tiles", (0.78, 0.79, 0.78), 0.1, 0.5),
     "fridge_body": Material((0.60, 0.62, 0.64), gloss=0.4),
-    "fridge_door": Material((0.76, 0.78, 0.80), gloss=0.5),
+    "fridge_door": Material((0.76, 0.78, 0.80), gloss=0.5, kind="metal"),
     "fridge_inside": Material((0.95, 0.97, 0.98), gloss=0.3),
     "fridge_shelf": Material((0.80, 0.90, 0.94), gloss=0.5),
     "fridge_bin": Material((0.86, 0.93, 0.96), gloss=0.4),
@@ -59,7 +62,7 @@ MATERIALS: dict[str, Material] = {
     "walnut": Material((0.44, 0.30, 0.20), "wood", (0.37, 0.24, 0.15), 0.1, 0.25),
     "birch": Material((0.88, 0.78, 0.62), "wood", (0.83, 0.72, 0.55), 0.1, 0.2),
     "white_lacquer": Material((0.92, 0.92, 0.91), gloss=0.4),
-    "black_metal": Material((0.12, 0.12, 0.13), gloss=0.3),
+    "black_metal": Material((0.12, 0.12, 0.13), gloss=0.3, kind="metal"),
     "black_glass": Material((0.04, 0.05, 0.06), gloss=0.8),
     "sofa_fabric": Material((0.35, 0.44, 0.53), "fabric", (0.30, 0.39, 0.48), 0.015, 0.0),
     "sofa_fabric_dark": Material(
@@ -88,7 +91,9 @@ MATERIALS: dict[str, Material] = {
     "terracotta": Material((0.73, 0.42, 0.29)),
     "pot_white": Material((0.90, 0.89, 0.86), gloss=0.3),
     "soil": Material((0.24, 0.17, 0.12)),
-    "lamp_shade": Material((0.98, 0.93, 0.78), "fabric", (0.95, 0.89, 0.72), 0.02, 0.0),
+    "lamp_shade": Material(
+        (0.98, 0.93, 0.78), "fabric", (0.95, 0.89, 0.72), 0.02, 0.0, "lamp"
+    ),
     "picture_sky": Material((0.55, 0.72, 0.83)),
     "picture_sun": Material((0.93, 0.70, 0.32)),
     "picture_hill": Material((0.33, 0.49, 0.42)),
@@ -112,7 +117,7 @@ MATERIALS: dict[str, Material] = {
     "gelatin_red": Material((0.74, 0.16, 0.22), gloss=0.3),
     "meat_blue": Material((0.10, 0.20, 0.47), gloss=0.4),
     "meat_yellow": Material((0.95, 0.80, 0.25), gloss=0.3),
-    "tin": Material((0.78, 0.78, 0.76), gloss=0.7),
+    "tin": Material((0.78, 0.78, 0.76), gloss=0.7, kind="metal"),
     "apple_red": Material((0.73, 0.13, 0.12), gloss=0.4),
     "apple_stem": Material((0.33, 0.22, 0.12)),
     "bowl_red": Material((0.76, 0.20, 0.17), gloss=0.5),

@@ -21,9 +21,9 @@ from mjhab.core.files.cache import cache_dir, write_cached
 from mjhab.core.files.code_digest import code_digest
 from mjhab.layout.compile import home_hash
 from mjhab.layout.layout import Layout
+from mjhab.render.models import DrawnHome, Look, Model
 from mjhab.robots.robot import Robot
 from mjhab.scenes.shapes.meshes import Mesh, mesh_arrays
-from mjhab.viewer.drawn.models import DrawnHome, Look, Model
 
 JPEG = "JPEG"
 
@@ -73,9 +73,7 @@ def home_digest(layout: Layout, home: str) -> str:
     """Return a hash of everything that the files of a home of a layout depend on."""
     spec = next(h for h in layout.pack.homes if h.name == home)
     digest = hashlib.sha256(home_hash(layout, spec).encode())
-    digest.update(
-        code_digest("viewer.drawn.glb", "viewer.drawn.models", "render", "robots")
-    )
+    digest.update(code_digest("viewer.drawn.glb", "render", "robots"))
     # The hash of the home covers only its physics: no colours, no textures, and not how the robot looks.
     digest.update(_looks_digest(layout.robot))
     for name, mesh in sorted(layout.pack.meshes.items()):

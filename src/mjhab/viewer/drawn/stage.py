@@ -9,8 +9,8 @@ import numpy as np
 import viser
 
 from mjhab.core.rotations import quat_from_mat
+from mjhab.render.models import srgb_bytes
 from mjhab.viewer.drawn.glb import HomeFiles
-from mjhab.viewer.drawn.models import srgb_bytes
 from mjhab.viewer.drawn.plan_marks import PlanMarks
 from mjhab.viewer.drawn.posing import Pose
 

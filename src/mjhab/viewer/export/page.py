@@ -25,11 +25,11 @@ from mjhab.core.timing import STEP_SECONDS
 from mjhab.data.store.schema import STORED_CHECKS
 from mjhab.render.follow_camera import FollowCamera
 from mjhab.render.home_scene import build_render_scene
+from mjhab.render.models import DrawnHome, Look, Model, home_models
 from mjhab.reports.pages import base64_text, render_page
 from mjhab.reports.plots import event_tone, kind_color
 from mjhab.tasks.scoring import term_names
 from mjhab.viewer.drawn.cameras import CameraThread
-from mjhab.viewer.drawn.models import DrawnHome, Look, Model, home_models
 from mjhab.viewer.drawn.posing import Poser, base_of
 from mjhab.viewer.pages.timeline import TONE_COLORS, actor_colors, subtask_spans
 from mjhab.viewer.sources.replay import Replay

@@ -17,12 +17,12 @@ from mjhab.data.store.schema import STORED_CHECKS
 from mjhab.layout.layout import Layout
 from mjhab.render.follow_camera import FollowCamera
 from mjhab.render.home_scene import build_render_scene
+from mjhab.render.models import DrawnHome, home_models
 from mjhab.render.render_scene import RenderScene
 from mjhab.serving.server import LOCAL_HOSTS
 from mjhab.sim.mujoco.cpu import CpuSimulator
 from mjhab.viewer.drawn.cameras import CameraThread
 from mjhab.viewer.drawn.glb import HomeFiles, home_digest, home_files
-from mjhab.viewer.drawn.models import DrawnHome, home_models
 from mjhab.viewer.drawn.posing import Pose, Poser, base_of, between
 from mjhab.viewer.drawn.stage import MIN_MOVE, DrawnStage
 from mjhab.viewer.pages.gateway import Gateway

@@ -72,6 +72,7 @@ class Arguments:
         obs_mode: key of OBS_MODES. reward_mode: one of REWARD_MODES. control_mode: their name of it.
         render_mode: one of RENDER_MODES, or None.
         camera_size: (height, width) [px].
+        ray_traced: whether the shader is one of those that trace rays: ``rt``, ``rt-fast``, ``rt-med``.
         backend: of `mjhab.make`.
         task_plans: plans to draw from; none: episodes of mjhab's generator.
         scene_builder_cls: data set of the plans, or its scene builder.
@@ -92,6 +93,7 @@ class Arguments:
     control_mode: str = "pd_joint_delta_pos"
     render_mode: str | None = None
     camera_size: tuple[int, int] = (128, 128)
+    ray_traced: bool = False
     backend: str = "cpu"
     task_plans: list[TaskPlan] = field(default_factory=list)
     scene_builder_cls: Any = ""
@@ -238,10 +240,7 @@ def _take_backend(made: Arguments, value: Any) -> None:
 
 
 def _take_shader(made: Arguments, value: Any) -> None:
-    if value and str(value).startswith("rt"):
-        warn_once(
-            f"shader_dir={value!r}: pictures are drawn as with 'minimal'; mjhab has no ray-traced ones."
-        )
+    made.ray_traced = str(value or "").startswith("rt")
 
 
 def _take_sensors(made: Arguments, value: Any) -> None:

@@ -18,6 +18,7 @@ from mjhab.core.conventions.hand_turns import AS_MANISKILL
 from mjhab.core.errors import warn_once
 from mjhab.envs.catalog import make
 from mjhab.envs.loop import TaskLoop
+from mjhab.scenes.shading import PATH, RASTER
 from mjhab.sim.backends import resolve
 from mjhab.tasks.household.registry import TASKS
 
@@ -102,6 +103,7 @@ def _options(arguments: Arguments, chosen: dict[str, Any]) -> dict[str, Any]:
         "backend": backend,
         "obs_mode": "+".join(OBS_MODES[arguments.obs_mode]) or "state",
         "camera_size": arguments.camera_size,
+        "shader": _shader(arguments, backend),
         "control_mode": AS_MANISKILL.get(arguments.control_mode, arguments.control_mode),
         # The wrapper of actions holds the head still, or does not.
         "stationary": (),
@@ -116,6 +118,15 @@ def _options(arguments: Arguments, chosen: dict[str, Any]) -> dict[str, Any]:
             **({} if subtask else {"goes_on": True}),
         },
     }
+
+
+def _shader(arguments: Arguments, backend: str) -> str:
+    if arguments.ray_traced and backend == "warp":
+        warn_once(
+            "shader_dir='rt...': pictures of the GPU backend are drawn as with 'minimal'."
+        )
+        return RASTER
+    return PATH if arguments.ray_traced else RASTER
 
 
 def _backend(name: str) -> str:

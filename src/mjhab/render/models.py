@@ -1,4 +1,4 @@
-"""Textured triangle meshes of a home for the browser, made from a `render.render_scene.RenderScene`.
+"""Textured triangle meshes of a home, for the browser and the path tracer, made from a `RenderScene`.
 
 All static instances become one model in the world frame. The instances of a body become one model in the frame of the
 body; bodies that look alike share it.
@@ -26,12 +26,13 @@ _NO_TEXTURE = -1
 class Look:
     """A material. color: (3,) linear rgb, multiplied with the texture. gloss: 0 to 1.
 
-    texture: (h, w, 3) uint8 sRGB that repeats in both directions, or None.
+    texture: (h, w, 3) uint8 sRGB that repeats in both directions, or None. kind: as `Material.kind`.
     """
 
     color: np.ndarray
     gloss: float
     texture: np.ndarray | None
+    kind: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,7 +73,12 @@ class DrawnHome:
     lamp_color: np.ndarray
 
 
-def home_models(scene: RenderScene, home: int, max_faces: int | None = None) -> DrawnHome:
+def home_models(
+    scene: RenderScene,
+    home: int,
+    max_faces: int | None = None,
+    max_side: int = MAX_TEXTURE_SIDE,
+) -> DrawnHome:
     """Compute the models of one home from a render scene.
 
     Args:
@@ -80,6 +86,7 @@ def home_models(scene: RenderScene, home: int, max_faces: int | None = None) -> 
         home: index of the home in the scene.
         max_faces: use the finest level of detail with at most this number of faces, or the coarsest there is; None uses
             the finest.
+        max_side: longest side of a texture [px].
     """
     if max_faces is not None:
         scene = _coarser(scene, max_faces)
@@ -87,7 +94,7 @@ def home_models(scene: RenderScene, home: int, max_faces: int | None = None) -> 
     by_body: dict[int, list[int]] = defaultdict(list)
     for instance in shown.tolist():
         by_body[int(scene.instance_body[instance])].append(instance)
-    looks = _Looks(scene)
+    looks = _Looks(scene, max_side)
     still = Model((0,), _parts(scene, home, by_body.pop(0, []), looks))
     alike: dict[bytes, list[int]] = defaultdict(list)
     for body, instances in sorted(by_body.items()):
@@ -131,9 +138,10 @@ def _shape_key(scene: RenderScene, home: int, instances: list[int]) -> bytes:
 class _Looks:
     """Collect the materials that are used; ``index`` returns the index of a scene's material in ``found``."""
 
-    def __init__(self, scene: RenderScene) -> None:
+    def __init__(self, scene: RenderScene, max_side: int) -> None:
         self.found: list[Look] = []
         self._scene = scene
+        self._max_side = max_side
         self._numbers: dict[int, int] = {}
 
     def index(self, material: int) -> int:
@@ -145,23 +153,24 @@ class _Looks:
     def _look(self, material: int) -> Look:
         scene = self._scene
         gloss = float(scene.mat_gloss[material])
+        kind = str(scene.mat_kind[material])
         color = scene.mat_color[material]
         number = int(scene.mat_texture[material])
         if number == _NO_TEXTURE:
-            return Look(color, gloss, None)
-        picture = _picture(scene, number)
+            return Look(color, gloss, None, kind)
+        picture = _picture(scene, number, self._max_side)
         if not scene.mat_pattern[material]:
-            return Look(color, gloss, picture)
+            return Look(color, gloss, picture, kind)
         mix = picture[..., :1] / 255.0
         shade = picture[..., 1:2] * (SHADE_TOP / 255.0)
         light = shade * (color + mix * (scene.mat_color2[material] - color))
-        return Look(np.ones(3), gloss, srgb_bytes(light))
+        return Look(np.ones(3), gloss, srgb_bytes(light), kind)
 
 
-def _picture(scene: RenderScene, number: int) -> np.ndarray:
-    """The finest mip level (h, w, 3) uint8 of a texture with sides up to `MAX_TEXTURE_SIDE`."""
+def _picture(scene: RenderScene, number: int, max_side: int) -> np.ndarray:
+    """The finest mip level (h, w, 3) uint8 of a texture with sides up to ``max_side``."""
     bits = scene.texels.bits[number]
-    level = max(0, int(bits.max()) - (MAX_TEXTURE_SIDE.bit_length() - 1))
+    level = max(0, int(bits.max()) - (max_side.bit_length() - 1))
     wide = 1 << max(0, int(bits[0]) - level)
     high = 1 << max(0, int(bits[1]) - level)
     start = int(scene.texels.start[number, level])

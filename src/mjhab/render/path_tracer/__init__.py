@@ -1,0 +1,1 @@
+"""Pictures by a path tracer, Mitsuba 3: ``shader="path"``."""

@@ -1,0 +1,105 @@
+"""What shines in a traced home: sky and sun, lamps; how bright its pictures are exposed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from mjhab.scenes.shading import EVENING, MIDDAY
+
+LAMP_RADIUS_M = 0.09
+SKY_SIZE = (32, 64)
+"""Height and width of the picture of the sky [px]."""
+_ROUND = 4.0 / LAMP_RADIUS_M**2
+"""Radiance of a ball that shines on what is 2 m off like a flat source of irradiance pi."""
+
+
+@dataclass(frozen=True)
+class Light:
+    """A time of day. Radiances are linear rgb.
+
+    Attributes:
+        zenith, horizon, ground: radiance of the sky above and at the horizon, and of what is below it.
+        sun: irradiance of the sun on a surface that faces it; all 0: it has set.
+        to_sun: unit direction to it.
+        lamp: radiance of a lamp whose irradiance is 1 at 2 m, times this factor; colour of the bulb.
+        shade: radiance of lamp shades.
+        exposure: factor on the radiance of pictures in rooms; open: of those from above, without ceiling.
+    """
+
+    zenith: tuple[float, float, float]
+    horizon: tuple[float, float, float]
+    ground: tuple[float, float, float]
+    sun: tuple[float, float, float]
+    to_sun: tuple[float, float, float]
+    lamp: tuple[float, float, float]
+    shade: float
+    exposure: float
+    open: float
+
+
+TIMES = {
+    MIDDAY: Light(
+        (3.2, 5.2, 8.5),
+        (8.0, 8.6, 9.2),
+        (2.2, 2.3, 2.0),
+        (26.0, 24.0, 20.0),
+        (0.44, 0.62, 0.65),
+        (0.62, 0.59, 0.54),
+        0.6,
+        2.1,
+        0.085,
+    ),
+    EVENING: Light(
+        (0.02, 0.035, 0.09),
+        (0.16, 0.10, 0.09),
+        (0.012, 0.012, 0.014),
+        (0.0, 0.0, 0.0),
+        (0.0, 0.0, 1.0),
+        (1.0, 0.72, 0.44),
+        5.0,
+        1.5,
+        1.4,
+    ),
+}
+
+
+def sky(mi: Any, light: Light) -> dict[str, Any]:
+    """The sky and what lies below the horizon, as an emitter."""
+    height, width = SKY_SIZE
+    # Row 0 is straight up.
+    up = np.cos((np.arange(height) + 0.5) / height * np.pi)
+    share = np.clip(up, 0.0, 1.0)[:, None] ** 0.5
+    above = np.array(light.horizon) + share * np.subtract(light.zenith, light.horizon)
+    rows = np.where(up[:, None] > 0.0, above, np.array(light.ground))
+    picture = np.repeat(rows[:, None], width, axis=1).astype(np.float32)
+    # The axis of Mitsuba's sky is +y; ours is +z.
+    turn = mi.ScalarTransform4f().rotate([1, 0, 0], 90)
+    return {"type": "envmap", "bitmap": mi.Bitmap(picture), "to_world": turn}
+
+
+def sun(light: Light) -> dict[str, Any] | None:
+    """The sun as an emitter; None if it has set."""
+    if not any(light.sun):
+        return None
+    return {
+        "type": "directional",
+        "direction": [-x for x in light.to_sun],
+        "irradiance": {"type": "rgb", "value": list(light.sun)},
+    }
+
+
+def lamp(light: Light, pos: np.ndarray, color: np.ndarray) -> dict[str, Any]:
+    """A ball that shines, at (3,) [m], of the colour (3,) that the home gives it."""
+    radiance = _ROUND * np.array(light.lamp) * color / np.pi
+    return {
+        "type": "sphere",
+        "center": pos.tolist(),
+        "radius": LAMP_RADIUS_M,
+        "emitter": {
+            "type": "area",
+            "radiance": {"type": "rgb", "value": radiance.tolist()},
+        },
+    }

@@ -1,0 +1,169 @@
+"""One home as scenes of Mitsuba: built once, its bodies put at the poses of every picture."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from mjhab.render.models import DrawnHome, Part, home_models
+from mjhab.render.path_tracer.lights import Light, lamp, sky, sun
+from mjhab.render.path_tracer.materials import surface
+from mjhab.render.path_tracer.windows import WALL, one_home, open_windows
+from mjhab.render.raster.arrays import PARKED_BELOW
+from mjhab.render.render_scene import RenderScene
+from mjhab.scenes.formats.gltf import MAX_TEXTURE
+
+MAX_DEPTH = 4
+"""Longest path: three reflections; the exposure of `lights` makes up for the light of longer ones."""
+CEILING = (0.88, 0.88, 0.86)
+
+
+class TracedHome:
+    """The scenes of one home, with a ceiling for cameras below it, and without for those above.
+
+    Args:
+        mi: Mitsuba with its variant.
+        scene: of the layout.
+        home: index of the home in it.
+        light: the time of day.
+
+    Attributes:
+        ceiling: height of the ceiling [m]; -inf without walls, under the open sky.
+    """
+
+    def __init__(self, mi: Any, scene: RenderScene, home: int, light: Light) -> None:
+        self._mi = mi
+        self._light = light
+        alone = one_home(scene, home)
+        self._span, self.ceiling = _walls(alone)
+        alone, windows = open_windows(alone)
+        drawn = home_models(alone, 0, max_side=MAX_TEXTURE)
+        self._lit_by_day = bool(windows)
+        self._groups = self._shapes(drawn)
+        self._lamps = list(zip(drawn.lamp_pos, drawn.lamp_color, strict=True))
+        self._scenes: dict[bool, _Placed] = {}
+
+    def placed(self, roof: bool, pos: np.ndarray, mat: np.ndarray) -> Any:
+        """The scene with its bodies at the poses (B, 3) [m] and (B, 3, 3).
+
+        Args:
+            roof: with the ceiling.
+            pos, mat: of the bodies of the world.
+        """
+        if roof not in self._scenes:
+            self._scenes[roof] = _Placed(self._mi, self._scene(roof), self._groups)
+        return self._scenes[roof].at(pos, mat)
+
+    def _shapes(self, drawn: DrawnHome) -> list[tuple[tuple[int, ...], Any]]:
+        """Shape groups, each with the bodies that look like it; (0,) is the world."""
+        mi = self._mi
+        surfaces = [mi.load_dict(surface(mi, look)) for look in drawn.looks]
+        groups = []
+        for model in (drawn.home, *drawn.movable):
+            group: dict[str, Any] = {"type": "shapegroup"}
+            for k, part in enumerate(model.parts):
+                group[f"part{k}"] = _mesh(mi, part, surfaces[part.look])
+            groups.append((model.bodies, mi.load_dict(group)))
+        return groups
+
+    def _scene(self, roof: bool) -> Any:
+        made: dict[str, Any] = {
+            "type": "scene",
+            "integrator": {"type": "path", "max_depth": MAX_DEPTH},
+            "sky": sky(self._mi, self._light),
+        }
+        shining = sun(self._light)
+        if shining is not None and (self._lit_by_day or not roof):
+            made["sun"] = shining
+        for k, (pos, color) in enumerate(self._lamps):
+            made[f"lamp{k}"] = lamp(self._light, pos, color)
+        for bodies, group in self._groups:
+            made[f"group{bodies[0]}"] = group
+            for body in bodies:
+                made[f"body{body}"] = {"type": "instance", "group": group}
+        if roof:
+            made["ceiling"] = self._ceiling()
+        return self._mi.load_dict(made)
+
+    def _ceiling(self) -> dict[str, Any]:
+        x0, y0, x1, y1 = self._span
+        place = self._mi.ScalarTransform4f().translate(
+            [(x0 + x1) / 2, (y0 + y1) / 2, self.ceiling]
+        )
+        return {
+            "type": "rectangle",
+            "to_world": place.scale([(x1 - x0) / 2, (y1 - y0) / 2, 1.0]),
+            "surface": {
+                "type": "twosided",
+                "inner": {
+                    "type": "diffuse",
+                    "reflectance": {"type": "rgb", "value": list(CEILING)},
+                },
+            },
+        }
+
+
+class _Placed:
+    """A scene of Mitsuba and the parameters that move its bodies."""
+
+    def __init__(self, mi: Any, scene: Any, groups: list[tuple[tuple[int, ...], Any]]):
+        self._mi = mi
+        self._scene = scene
+        self._bodies = [b for bodies, _ in groups for b in bodies if b != 0]
+        self._params = mi.traverse(scene)
+        keep = [f"body{body}.to_world" for body in self._bodies]
+        self._params.keep(keep)
+        self._last = np.full((len(self._bodies), 4, 4), np.nan)
+
+    def at(self, pos: np.ndarray, mat: np.ndarray) -> Any:
+        pose = np.tile(np.eye(4), (len(self._bodies), 1, 1))
+        pose[:, :3, :3] = mat[self._bodies]
+        pose[:, :3, 3] = pos[self._bodies]
+        moved = np.flatnonzero((pose != self._last).any((1, 2)))
+        for k in moved.tolist():
+            to_world = self._mi.ScalarTransform4f(pose[k])
+            self._params[f"body{self._bodies[k]}.to_world"] = self._mi.Transform4f(
+                to_world
+            )
+        if len(moved):
+            self._params.update()
+            self._last = pose
+        return self._scene
+
+
+def _walls(scene: RenderScene) -> tuple[tuple[float, float, float, float], float]:
+    """Extent x0, y0, x1, y1 of the walls of a scene of one home [m], and their height; zeros and -inf for none."""
+    there = (scene.home_scale[0] != 0.0).all(axis=1)
+    there &= (scene.home_pos[0, :, 2] > PARKED_BELOW) & (scene.instance_body == 0)
+    names = np.array(scene.seg_names)[scene.instance_seg]
+    rows = np.flatnonzero(there & (names == WALL))
+    if not len(rows):
+        return (0.0, 0.0, 0.0, 0.0), -np.inf
+    half = np.einsum(
+        "nij,nj->ni", np.abs(scene.home_mat[0, rows]), np.abs(scene.home_scale[0, rows])
+    )
+    low = (scene.home_pos[0, rows] - half).min(axis=0)
+    high = (scene.home_pos[0, rows] + half).max(axis=0)
+    return (low[0], low[1], high[0], high[1]), float(high[2])
+
+
+def _mesh(mi: Any, part: Part, look: Any) -> Any:
+    """A mesh of Mitsuba."""
+    properties = mi.Properties()
+    properties["surface"] = look
+    mesh = mi.Mesh(
+        "part",
+        vertex_count=len(part.vertices),
+        face_count=len(part.faces),
+        has_vertex_normals=True,
+        has_vertex_texcoords=True,
+        props=properties,
+    )
+    params = mi.traverse(mesh)
+    params["vertex_positions"] = np.ascontiguousarray(part.vertices, np.float32).ravel()
+    params["vertex_normals"] = np.ascontiguousarray(part.normals, np.float32).ravel()
+    params["vertex_texcoords"] = np.ascontiguousarray(part.uv, np.float32).ravel()
+    params["faces"] = np.ascontiguousarray(part.faces, np.uint32).ravel()
+    params.update()
+    return mesh

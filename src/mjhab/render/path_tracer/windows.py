@@ -1,0 +1,155 @@
+"""One home of a render scene with its windows open: holes in the walls where the rasterizer draws panes on them."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator
+
+import numpy as np
+
+from mjhab.render.raster.arrays import PARKED_BELOW
+from mjhab.render.render_scene import RenderScene
+
+WALL = "wall"
+ON_WALL_M = 0.08
+"""A pane hangs on a wall if its middle is at most this far from the face of the wall."""
+MIN_PIECE_M = 1e-4
+Rect = tuple[float, float, float, float]
+"""u0, v0, u1, v1 in the plane of a wall [m]."""
+
+
+def one_home(scene: RenderScene, home: int) -> RenderScene:
+    """The scene with this home alone, as home 0."""
+    rows = slice(home, home + 1)
+    fields = (
+        *("instance_material", "home_pos", "home_mat", "home_scale"),
+        *("light_pos", "light_color"),
+    )
+    parts = {name: getattr(scene, name)[rows] for name in fields}
+    return dataclasses.replace(scene, **parts)
+
+
+def open_windows(scene: RenderScene) -> tuple[RenderScene, int]:
+    """Cut the walls of a scene of one home behind its panes of glass, and take these panes away.
+
+    Light that is traced reaches a room through a hole; it would be lost at a pane, since no path finds the sun there.
+
+    Returns:
+        The scene, and the number of windows.
+    """
+    there = (scene.home_scale[0] != 0.0).all(axis=1) & (scene.instance_body == 0)
+    there &= scene.home_pos[0, :, 2] > PARKED_BELOW
+    material = scene.instance_material[0]
+    glass = there & (material >= 0) & (scene.mat_kind[material] == "glass")
+    walls = np.flatnonzero(there & (scene.instance_seg == _segment(scene, WALL)))
+    panes = np.flatnonzero(glass)
+    pieces: list[tuple[int, np.ndarray, np.ndarray]] = []
+    opened: set[int] = set()
+    cut: list[int] = []
+    for wall in walls.tolist():
+        holes = {pane: hole for pane in panes if (hole := _hole(scene, wall, pane))}
+        if not holes:
+            continue
+        opened |= set(holes)
+        cut.append(wall)
+        pieces += [(wall, *box) for box in _remaining(scene, wall, list(holes.values()))]
+    if not opened:
+        return scene, 0
+    return _with_pieces(scene, [*cut, *opened], pieces), len(opened)
+
+
+def _segment(scene: RenderScene, name: str) -> int:
+    return scene.seg_names.index(name) if name in scene.seg_names else -1
+
+
+def _thin(half: np.ndarray) -> tuple[int, int, int]:
+    """The axis across a wall of these half-extents, and the two in its plane."""
+    across = int(half.argmin())
+    u, v = (axis for axis in range(3) if axis != across)
+    return across, u, v
+
+
+def _hole(scene: RenderScene, wall: int, pane: int) -> Rect | None:
+    """What a pane covers of a wall, in the axes of the wall; None if it does not hang on it."""
+    turn = scene.home_mat[0, wall]
+    half = np.abs(scene.home_scale[0, wall])
+    across, u, v = _thin(half)
+    at = turn.T @ (scene.home_pos[0, pane] - scene.home_pos[0, wall])
+    # The mesh of a pane is the unit box.
+    size = np.abs(turn.T @ scene.home_mat[0, pane]) @ np.abs(scene.home_scale[0, pane])
+    flat = size[across] < min(size[u], size[v])
+    if not flat or abs(at[across]) > half[across] + ON_WALL_M:
+        return None
+    low = np.maximum(at - size, -half)
+    high = np.minimum(at + size, half)
+    if min(high[u] - low[u], high[v] - low[v]) < MIN_PIECE_M:
+        return None
+    return float(low[u]), float(low[v]), float(high[u]), float(high[v])
+
+
+def _remaining(
+    scene: RenderScene, wall: int, holes: list[Rect]
+) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Middle and half-extents (3,) [m] of the boxes that are left of a wall, in its axes."""
+    half = np.abs(scene.home_scale[0, wall])
+    _, u, v = _thin(half)
+    left: list[Rect] = [(-half[u], -half[v], half[u], half[v])]
+    for hole in holes:
+        left = [piece for rect in left for piece in _around(rect, hole)]
+    for u0, v0, u1, v1 in left:
+        middle = np.zeros(3)
+        middle[[u, v]] = (u0 + u1) / 2, (v0 + v1) / 2
+        size = half.copy()
+        size[[u, v]] = (u1 - u0) / 2, (v1 - v0) / 2
+        yield middle, size
+
+
+def _around(rect: Rect, hole: Rect) -> Iterator[Rect]:
+    """What is left of a rectangle around a hole: up to four rectangles."""
+    u0, v0, u1, v1 = rect
+    a0, b0, a1, b1 = (
+        max(u0, hole[0]),
+        max(v0, hole[1]),
+        min(u1, hole[2]),
+        min(v1, hole[3]),
+    )
+    if a0 >= a1 or b0 >= b1:
+        yield rect
+        return
+    parts = ((u0, v0, a0, v1), (a1, v0, u1, v1), (a0, v0, a1, b0), (a0, b1, a1, v1))
+    for part in parts:
+        if min(part[2] - part[0], part[3] - part[1]) > MIN_PIECE_M:
+            yield part
+
+
+def _with_pieces(
+    scene: RenderScene,
+    hidden: list[int],
+    pieces: list[tuple[int, np.ndarray, np.ndarray]],
+) -> RenderScene:
+    """The scene without the instances ``hidden``, and with boxes: wall that each is a piece of, middle and half-extents
+    in its axes."""
+    wall = np.array([row[0] for row in pieces], int)
+    middle = np.array([row[1] for row in pieces]).reshape(-1, 3)
+    size = np.array([row[2] for row in pieces]).reshape(-1, 3)
+    turn = scene.home_mat[0, wall]
+    pos = scene.home_pos[0, wall] + np.einsum("nij,nj->ni", turn, middle)
+    scale = scene.home_scale.copy()
+    scale[0, hidden] = 0.0
+    copied = {
+        name: np.concatenate([getattr(scene, name), getattr(scene, name)[wall]])
+        for name in (
+            *("instance_mesh", "instance_body", "instance_pos"),
+            *("instance_mat", "instance_seg"),
+        )
+    }
+    return dataclasses.replace(
+        scene,
+        **copied,
+        instance_material=np.concatenate(
+            [scene.instance_material, scene.instance_material[:, wall]], axis=1
+        ),
+        home_pos=np.concatenate([scene.home_pos, pos[None]], axis=1),
+        home_mat=np.concatenate([scene.home_mat, turn[None]], axis=1),
+        home_scale=np.concatenate([scale, size[None]], axis=1),
+    )

@@ -17,7 +17,7 @@ _ROUND = 4.0 / LAMP_RADIUS_M**2
 
 
 @dataclass(frozen=True)
-class Light:
+class Daylight:
     """A time of day. Radiances are linear rgb.
 
     Attributes:
@@ -41,7 +41,7 @@ class Light:
 
 
 TIMES = {
-    MIDDAY: Light(
+    MIDDAY: Daylight(
         (3.2, 5.2, 8.5),
         (8.0, 8.6, 9.2),
         (2.2, 2.3, 2.0),
@@ -52,7 +52,7 @@ TIMES = {
         2.1,
         0.085,
     ),
-    EVENING: Light(
+    EVENING: Daylight(
         (0.02, 0.035, 0.09),
         (0.16, 0.10, 0.09),
         (0.012, 0.012, 0.014),
@@ -66,7 +66,7 @@ TIMES = {
 }
 
 
-def sky(mi: Any, light: Light) -> dict[str, Any]:
+def sky(mi: Any, light: Daylight) -> dict[str, Any]:
     """The sky and what lies below the horizon, as an emitter."""
     height, width = SKY_SIZE
     # Row 0 is straight up.
@@ -80,7 +80,7 @@ def sky(mi: Any, light: Light) -> dict[str, Any]:
     return {"type": "envmap", "bitmap": mi.Bitmap(picture), "to_world": turn}
 
 
-def sun(light: Light) -> dict[str, Any] | None:
+def sun(light: Daylight) -> dict[str, Any] | None:
     """The sun as an emitter; None if it has set."""
     if not any(light.sun):
         return None
@@ -91,7 +91,7 @@ def sun(light: Light) -> dict[str, Any] | None:
     }
 
 
-def lamp(light: Light, pos: np.ndarray, color: np.ndarray) -> dict[str, Any]:
+def lamp(light: Daylight, pos: np.ndarray, color: np.ndarray) -> dict[str, Any]:
     """A ball that shines, at (3,) [m], of the colour (3,) that the home gives it."""
     radiance = _ROUND * np.array(light.lamp) * color / np.pi
     return {

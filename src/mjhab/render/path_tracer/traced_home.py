@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from mjhab.render.models import DrawnHome, Part, home_models
-from mjhab.render.path_tracer.lights import Light, lamp, sky, sun
+from mjhab.render.path_tracer.lights import Daylight, lamp, sky, sun
 from mjhab.render.path_tracer.materials import surface
 from mjhab.render.path_tracer.windows import WALL, one_home, open_windows
 from mjhab.render.raster.arrays import PARKED_BELOW
@@ -32,7 +32,7 @@ class TracedHome:
         ceiling: height of the ceiling [m]; -inf without walls, under the open sky.
     """
 
-    def __init__(self, mi: Any, scene: RenderScene, home: int, light: Light) -> None:
+    def __init__(self, mi: Any, scene: RenderScene, home: int, light: Daylight) -> None:
         self._mi = mi
         self._light = light
         alone = one_home(scene, home)
@@ -42,7 +42,7 @@ class TracedHome:
         self._lit_by_day = bool(windows)
         self._groups = self._shapes(drawn)
         self._lamps = list(zip(drawn.lamp_pos, drawn.lamp_color, strict=True))
-        self._scenes: dict[bool, _Placed] = {}
+        self._scenes: dict[bool, _PlacedScene] = {}
 
     def placed(self, roof: bool, pos: np.ndarray, mat: np.ndarray) -> Any:
         """The scene with its bodies at the poses (B, 3) [m] and (B, 3, 3).
@@ -52,7 +52,7 @@ class TracedHome:
             pos, mat: of the bodies of the world.
         """
         if roof not in self._scenes:
-            self._scenes[roof] = _Placed(self._mi, self._scene(roof), self._groups)
+            self._scenes[roof] = _PlacedScene(self._mi, self._scene(roof), self._groups)
         return self._scenes[roof].at(pos, mat)
 
     def _shapes(self, drawn: DrawnHome) -> list[tuple[tuple[int, ...], Any]]:
@@ -104,7 +104,7 @@ class TracedHome:
         }
 
 
-class _Placed:
+class _PlacedScene:
     """A scene of Mitsuba and the parameters that move its bodies."""
 
     def __init__(self, mi: Any, scene: Any, groups: list[tuple[tuple[int, ...], Any]]):

@@ -28,7 +28,7 @@ MOST_SURFACES = 4
 """Samples per pixel of the surfaces, at most; a fourth of those of the light."""
 
 
-class _Shot(NamedTuple):
+class _TracedShot(NamedTuple):
     """A scene and a sensor of Mitsuba, and whether the scene has a ceiling."""
 
     scene: Any
@@ -99,7 +99,7 @@ class PathTracer:
         cameras: Cameras,
         which: tuple[int, int],
         centred: bool,
-    ) -> _Shot:
+    ) -> _TracedShot:
         """What one picture is taken of; ``centred``: at the centres of the pixels alone."""
         w, c = which
         traced = self._home(int(home[w]))
@@ -110,9 +110,9 @@ class PathTracer:
         )
         fovy = float(np.broadcast_to(cameras.fovy, (cameras.pos.shape[1],))[c])
         mat = np.asarray(cameras.mat[w, c], float).reshape(3, 3)
-        return _Shot(scene, self._sensor(cameras, fovy, eye, mat, centred), roof)
+        return _TracedShot(scene, self._sensor(cameras, fovy, eye, mat, centred), roof)
 
-    def _seen(self, shot: _Shot, samples: int) -> np.ndarray:
+    def _seen(self, shot: _TracedShot, samples: int) -> np.ndarray:
         """Albedo, normal and distance (h, w, 7) f32 of the surfaces in a picture."""
         found = self._mi.render(
             shot.scene,
@@ -164,7 +164,7 @@ class PathTracer:
             }
         )
 
-    def _developed(self, shot: _Shot) -> np.ndarray:
+    def _developed(self, shot: _TracedShot) -> np.ndarray:
         """A picture (h, w, 3) uint8 sRGB."""
         samples = self.shading.samples
         found = self._mi.render(shot.scene, sensor=shot.sensor, spp=samples, seed=0)

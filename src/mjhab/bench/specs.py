@@ -11,6 +11,7 @@ from mjhab.config.env_spec import PROFILE, EnvSpec, env_options
 from mjhab.core.errors import UsageError
 from mjhab.core.typed.bounds import Bound, Output, Positive
 from mjhab.core.typed.flags import Flag
+from mjhab.scenes.shading import Shading
 
 
 @dataclass(frozen=True)
@@ -161,3 +162,8 @@ class PhotoSpec(EnvSpec):
             raise UsageError(
                 "bench photo measures several numbers of samples: give --samples 1 4 16, not --shading.samples."
             )
+
+    def shading(self, samples: int) -> Shading:
+        """The options of the path tracer with a number of paths per pixel."""
+        options: dict[str, Any] = {**self.asked.shading, "samples": samples}
+        return Shading(**options)

@@ -91,9 +91,7 @@ def measure_photo(
     camera = ""
     with progress_bar("photo", len(spec.samples) * spec.runs) as advance:
         for samples in spec.samples:
-            bench = PhotoBench(
-                scene, Shading(**{**spec.asked.shading, "samples": samples})
-            )
+            bench = PhotoBench(scene, spec.shading(samples))
             camera = bench.camera
             for action in random_actions(scene, spec.asked.seed, 0, WARM_STEPS):
                 bench.step(action)
@@ -106,7 +104,7 @@ def measure_photo(
             point = summarize(runs)
             del point["worlds"], point["device_mb"]
             points.append({"samples": samples, **point})
-    shading = Shading(**spec.asked.shading)
+    shading = spec.shading(spec.samples[0])
     common = {
         "home": scene.home,
         "camera": camera,

@@ -42,7 +42,7 @@ def open_windows(scene: RenderScene) -> tuple[RenderScene, int]:
     material = scene.instance_material[0]
     glass = there & (material >= 0) & (scene.mat_kind[material] == "glass")
     walls = np.flatnonzero(there & (scene.instance_seg == _segment(scene, WALL)))
-    panes = np.flatnonzero(glass)
+    panes: list[int] = np.flatnonzero(glass).tolist()
     pieces: list[tuple[int, np.ndarray, np.ndarray]] = []
     opened: set[int] = set()
     cut: list[int] = []

@@ -80,11 +80,11 @@ class PathTracer:
         """Planar distance (W, C, height, width) f32 [m] of what the centres of the pixels see, 0 for the sky."""
         shape = (*np.shape(cameras.pos)[:2], cameras.height, cameras.width)
         images = np.empty(shape, np.float32)
-        slope = 2.0 * np.tan(0.5 * np.asarray(cameras.fovy)) / cameras.height
-        u = (np.arange(cameras.width) + 0.5 - cameras.width / 2)[None] * slope
-        v = (np.arange(cameras.height) + 0.5 - cameras.height / 2)[:, None] * slope
-        along = 1.0 / np.sqrt(1.0 + u * u + v * v)
+        slope = 2.0 * np.tan(0.5 * _fields_of_view(cameras)) / cameras.height
+        u = (np.arange(cameras.width) + 0.5 - cameras.width / 2)[None]
+        v = (np.arange(cameras.height) + 0.5 - cameras.height / 2)[:, None]
         for w, c in np.ndindex(*shape[:2]):
+            along = 1.0 / np.sqrt(1.0 + slope[w, c] ** 2 * (u * u + v * v))
             shot = self._shot(home, body_pos, body_mat, cameras, (w, c), True)
             far = self._seen(shot, 1)[..., _DEPTH]
             # Mitsuba's rays begin at the near plane.
@@ -108,7 +108,7 @@ class PathTracer:
         scene = traced.placed(
             roof, np.asarray(body_pos[w]), np.asarray(body_mat[w]).reshape(-1, 3, 3)
         )
-        fovy = float(np.broadcast_to(cameras.fovy, (cameras.pos.shape[1],))[c])
+        fovy = float(_fields_of_view(cameras)[w, c])
         mat = np.asarray(cameras.mat[w, c], float).reshape(3, 3)
         return _TracedShot(scene, self._sensor(cameras, fovy, eye, mat, centred), roof)
 
@@ -175,3 +175,8 @@ class PathTracer:
             light = denoise(light, albedo, np.ascontiguousarray(seen[..., _NORMAL]))
         exposure = self._light.exposure if shot.roof else self._light.open
         return srgb_bytes(compressed(exposure * np.asarray(light)))
+
+
+def _fields_of_view(cameras: Cameras) -> np.ndarray:
+    """Vertical fields of view (W, C) [rad]."""
+    return np.broadcast_to(np.asarray(cameras.fovy, float), np.shape(cameras.pos)[:2])

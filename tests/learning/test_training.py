@@ -29,6 +29,7 @@ from mjhab.learning.configs import (
     PRESETS,
     DaggerConfig,
     NetworkConfig,
+    OptimizerConfig,
     preset_of,
     student_from_plain,
     to_plain,
@@ -334,6 +335,24 @@ def test_demonstrations_must_be_of_what_is_judged(source: Path, tmp_path: Path) 
 
 def weights(path: Path) -> dict[str, torch.Tensor]:
     return dict(load_checkpoint(path).tensors)
+
+
+def test_a_run_begins_with_the_weights_of_another(source: Path, tmp_path: Path) -> None:
+    """With its normalizers, too; of another network or other inputs it is refused before anything is written."""
+    train_in(request(source), tmp_path / "first")
+    student = tmp_path / "first" / "student.safetensors"
+    still = train_config(optimizer=OptimizerConfig(batch=8, learning_rate=1e-12))
+    train_in(request(source, preset=still, start=student), tmp_path / "second")
+    # The weights that act: those of the first run, at a rate at which nothing moves.
+    first, second = weights(student), weights(tmp_path / "second" / "student.safetensors")
+    assert all(torch.allclose(first[k], second[k], atol=1e-6) for k in first)
+    resolved = json.loads((tmp_path / "second" / "config.json").read_text())
+    assert resolved["start"] == str(student)
+    network = dataclasses.replace(config().network, hidden=24)
+    other = train_config(network=network)
+    with pytest.raises(UsageError, match="which has another network: give a student"):
+        train_in(request(source, preset=other, start=student), tmp_path / "third")
+    assert not (tmp_path / "third").exists()
 
 
 def test_a_run_leaves_its_folder_and_resumes_exactly(

@@ -13,6 +13,7 @@ from pathlib import Path
 from mjhab.core.errors import MjhabError, UsageError, fault, unknown_name
 from mjhab.core.registration import plugins
 from mjhab.core.registration.plugins import raised_text
+from mjhab.scenes.door_walls import with_door_walls
 from mjhab.scenes.objects import with_registered_objects
 from mjhab.scenes.pack_folder import load_pack
 from mjhab.scenes.pack_source import (
@@ -49,10 +50,9 @@ def open_pack(assets: Assets = "builtin") -> Pack:
     request = pack_request(assets)
     source = source_of(request)
     if source is not None:
-        return with_registered_objects(_checked(_opened(source, request), request))
+        return _completed(_opened(source, request), request)
     if Path(request.place).is_dir():
-        pack = load_pack(Path(request.place))
-        return with_registered_objects(_checked(pack, request))
+        return _completed(load_pack(Path(request.place)), request)
     raise _nothing_there(request.place)
 
 
@@ -63,6 +63,12 @@ def stage_of(assets: Assets) -> dict[str, str]:
     if source is None or "stage" not in source.options:
         return {}
     return {"stage": open_pack(request).stage}
+
+
+def _completed(pack: Pack, request: PackRequest) -> Pack:
+    """Return a checked pack with what a request or a plugin adds to every pack."""
+    checked = _checked(pack, request)
+    return with_registered_objects(with_door_walls(checked, request.door_walls))
 
 
 def _checked(pack: Pack, request: PackRequest) -> Pack:

@@ -42,12 +42,16 @@ EVALUATIONS = 4
 
 
 class ImitationSession(Session):
-    """A run of imitation. Make one with `train.open_session`."""
+    """A run of imitation. Make one with `train.open_session`; ``start``: the student whose weights it begins with."""
 
     spec: ImitationSpec
 
     def __init__(
-        self, spec: ImitationSpec, layout: ObservationSpec, folder: TrainingFolder
+        self,
+        spec: ImitationSpec,
+        layout: ObservationSpec,
+        folder: TrainingFolder,
+        start: Student | None = None,
     ) -> None:
         threads = spec.config.student.inputs.network_threads(spec.torch_threads)
         if threads:
@@ -65,6 +69,10 @@ class ImitationSession(Session):
         if self.saved is not None:
             with restoring(folder.training):
                 self.trainer.restore(dict(self.saved.tensors), self.state.updates)
+        elif start is not None:
+            student.load_state_dict(start.state_dict())
+            self.trainer.restart_average()
+            self.state.fitted = self.began_trained = True
         self.settle(layout)
         self.collectors = [
             Collector(scene, view, spec.resources, spec.seed, spec.ray or "")

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from mjhab.core.errors import UsageError
 from mjhab.core.version import __version__
 from mjhab.evaluation.resolve import open_policy
+from mjhab.learning.checkpoint import load_checkpoint, student_of
 from mjhab.learning.demos import goals_of_data, observation_spec_of_data
 from mjhab.learning.observation.spec import (
     ObservationSpec,
@@ -18,6 +19,7 @@ from mjhab.learning.observation.spec import (
 )
 from mjhab.learning.runs.collection import make_env
 from mjhab.learning.runs.specs import ImitationSpec, Resources
+from mjhab.learning.students.student import Student
 
 if TYPE_CHECKING:
     from mjhab.envs.sequential import SequentialTaskEnv
@@ -90,6 +92,32 @@ def _spoken(goals: Collection[tuple[str, str]]) -> str:
     return ", ".join(f"{subtask} {target}" for subtask, target in sorted(goals))
 
 
+def start_of(spec: ImitationSpec, layout: ObservationSpec) -> Student | None:
+    """Load the student that the run begins with; None for random weights.
+
+    Raises:
+        UsageError: the file cannot be read, or is of another algorithm, network or layout.
+    """
+    if spec.start is None:
+        return None
+    saved = load_checkpoint(spec.start)
+    wanted = spec.config.student
+    told = {
+        "algorithm": (saved.config.algorithm, wanted.algorithm),
+        "chunk": (saved.config.chunk, wanted.chunk),
+        "network": (saved.config.network, wanted.network),
+        "inputs": (saved.config.inputs, wanted.inputs),
+        "layout": (saved.layout, layout),
+    }
+    wrong = [name for name, (theirs, ours) in told.items() if theirs != ours]
+    if wrong:
+        raise UsageError(
+            f"the run cannot begin with {spec.start}, which has another {' and '.join(wrong)}: give a student that was "
+            "trained with the same --preset, --set, subtasks and targets, or leave out --start."
+        )
+    return student_of(spec.start, saved)
+
+
 def resolved_config(spec: ImitationSpec) -> dict[str, Any]:
     """Everything that determines the result of a run, as JSON data."""
     also = [asdict(scene) for scene in spec.scenes[1:]]
@@ -97,6 +125,7 @@ def resolved_config(spec: ImitationSpec) -> dict[str, Any]:
         **config_of(spec, spec.config),
         **({"also": also} if also else {}),
         **({"per_target": spec.per_target} if spec.per_target else {}),
+        **({"start": str(spec.start)} if spec.start else {}),
         **_teachers_of(spec),
     }
 

@@ -270,6 +270,10 @@ class ImitationSpec(TrainSpec):
     student learns the intended ones."""
     updates: Annotated[Number, Sets("updates")] = None
     """Updates of the network (in dagger: of the first round)."""
+    start: Annotated[Path | None, Flag(metavar="CHECKPOINT", shown="default: none")] = (
+        None
+    )
+    """Begin with the weights of this student of the same algorithm, network and inputs, in place of random ones."""
     also: Annotated[
         tuple[str, ...],
         Flag(metavar="TASK/SUBTASK[/TARGET] ...", shown="default: none"),

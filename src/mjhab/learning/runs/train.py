@@ -9,7 +9,7 @@ from mjhab.learning.runs import distributed
 from mjhab.learning.runs.budget import BudgetTooSmallError
 from mjhab.learning.runs.dagger import DaggerSession
 from mjhab.learning.runs.imitation import ImitationSession
-from mjhab.learning.runs.request import layout_for, resolved_config
+from mjhab.learning.runs.request import layout_for, resolved_config, start_of
 from mjhab.learning.runs.run import TrainingFolder, TrainingResult
 from mjhab.learning.runs.session import OutOfTime, Session
 from mjhab.learning.runs.specs import ImitationSpec
@@ -28,9 +28,10 @@ def open_session(spec: ImitationSpec) -> Iterator[ImitationSession]:
     TrainingFolder.check(spec.out, config, resume=spec.resume)
     layout = layout_for(spec)
     check_student(spec.config.student, layout)
+    start = start_of(spec, layout)
     kind = DaggerSession if spec.config.dagger is not None else ImitationSession
     with TrainingFolder.open(spec.out, config, resume=spec.resume) as folder:
-        session = kind(spec, layout, folder)
+        session = kind(spec, layout, folder, start)
         with session.log:
             yield session
 

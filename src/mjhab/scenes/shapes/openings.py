@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 from scipy.spatial import ConvexHull
 
 from mjhab.core.rotations import mat_from_quat
-from mjhab.scenes.shapes.footprints import FloorPolygon, outline
+from mjhab.scenes.shapes.footprints import FloorPolygon, all_geoms, outline
 from mjhab.scenes.spec import Geom, Home, Link, Pack, Placement
 
 _SWEEP_POSES = 24
@@ -31,9 +31,9 @@ def free_travel(home: Home, pack: Pack) -> dict[str, float]:
     """
     result: dict[str, float] = {}
     for placement in home.articulations:
-        around = _solids(home, pack, placement)
+        around = solids_near(home, pack, placement)
         for link in pack.articulations[placement.template].links:
-            result[f"{placement.template}/{link.name}"] = _travel(link, placement, around)
+            result[f"{placement.template}/{link.name}"] = travel(link, placement, around)
     return result
 
 
@@ -43,7 +43,7 @@ def wall_limits(home: Home, pack: Pack) -> tuple[tuple[str, float], ...]:
     walls = _walls(home)
     for placement in home.articulations:
         for link in pack.articulations[placement.template].links:
-            free = _travel(link, placement, walls) if link.joint == "hinge" else np.inf
+            free = travel(link, placement, walls) if link.joint == "hinge" else np.inf
             if link.range[0] < free < link.range[1]:
                 limit = np.floor((free - _LIMIT_MARGIN_RAD) * 100) / 100
                 found.append((f"{placement.template}/{link.name}", float(limit)))
@@ -82,7 +82,9 @@ def _ends(pack: Pack) -> dict[str, float]:
     }
 
 
-def _travel(link: Link, at: Placement, around: list[FloorPolygon]) -> float:
+def travel(link: Link, at: Placement, around: Sequence[FloorPolygon]) -> float:
+    """Joint position [m or rad] to which a link of placed furniture opens before it meets one of the areas ``around``;
+    the end of its range if it meets none."""
     low, high = link.range
     pieces = [_flat(g, link, at.pos[2]) for g in link.geoms if g.collide]
 
@@ -106,6 +108,12 @@ def _last_free(free: Callable[[float], bool], good: float, bad: float) -> float:
         middle = (good + bad) / 2
         good, bad = (middle, bad) if free(middle) else (good, middle)
     return good
+
+
+def link_outline(link: Link, at: Placement, q: float) -> np.ndarray:
+    """Points (N, 2) [m] in the world around the solid parts of a link of placed furniture at joint position ``q``."""
+    pieces = [_flat(g, link, at.pos[2])[0] for g in link.geoms if g.collide]
+    return _moved(np.concatenate(pieces), link, at, q)
 
 
 def _flat(geom: Geom, link: Link, lift: float) -> tuple[np.ndarray, tuple[float, float]]:
@@ -136,22 +144,29 @@ def _turn(angle: float) -> np.ndarray:
     return np.array([[c, s], [-s, c]])
 
 
-def _solids(home: Home, pack: Pack, opening: Placement) -> list[FloorPolygon]:
-    """Footprints of walls, and of other furniture within 3 m of the piece that opens."""
+def solids_near(
+    home: Home, pack: Pack, piece: Placement, *, closed: bool = False
+) -> list[FloorPolygon]:
+    """Footprints of walls, and of other furniture within 3 m of a placed piece.
+
+    Args:
+        home, pack: the home.
+        piece: the piece.
+        closed: with the piece itself and with all doors and drawers, closed; else without either.
+    """
     solid = _walls(home)
     near = 3.0
     for placement in (*home.props, *home.articulations):
-        if (
-            placement == opening
-            or np.hypot(*np.subtract(placement.pos[:2], opening.pos[:2])) > near
-        ):
+        apart = np.hypot(*np.subtract(placement.pos[:2], piece.pos[:2]))
+        if apart > near or (placement == piece and not closed):
             continue
         template = (
             pack.props.get(placement.template) or pack.articulations[placement.template]
         )
+        geoms = all_geoms(template) if closed else template.geoms
         solid += [
             _solid(g, placement, pack.meshes, placement.template)
-            for g in template.geoms
+            for g in geoms
             if g.collide
         ]
     return solid

@@ -165,6 +165,35 @@ def test_a_partial_reset_leaves_the_other_worlds(
         assert torch.equal(seen["depth"], told)
 
 
+@pytest.mark.parametrize(
+    ("given", "option"),
+    [
+        ({"seed": "a"}, "seed"),
+        ({"seed": [1, 2, 3]}, "seed"),
+        ({"options": {"env_idx": [2]}}, "env_idx"),
+        ({"options": {"env_idx": [-1]}}, "env_idx"),
+        ({"options": {"env_idx": torch.tensor([True, False])}}, "env_idx"),
+        ({"options": {"env_ids": [0]}}, "reset option"),
+        ({"options": [0]}, "options"),
+    ],
+)
+def test_a_reset_that_means_nothing_is_refused(
+    env: Any, given: dict[str, Any], option: str
+) -> None:
+    with refused(option):
+        env.reset(**given)
+
+
+def test_what_is_not_answered_is_told(env: Any) -> None:
+    env.reset(seed=0)
+    with refused("action"):
+        env.step("still")
+    with pytest.raises(UsageError, match="task_plan_idxs needs task_plans"):
+        env.reset(options={"task_plan_idxs": [0, 0]})
+    with pytest.raises(AttributeError, match="does not answer 'scene'"):
+        _ = env.unwrapped.scene
+
+
 def test_seeds_decide_episodes(env: Any) -> None:
     one, _ = env.reset(seed=11)
     two, _ = env.reset(seed=12)
@@ -401,7 +430,17 @@ def test_arguments_that_cannot_be_honoured_are_refused() -> None:
         ({"sensor_configs": {"fov": 1}}, "entry of sensor_configs", "width"),
         ({"num_enws": 3}, "argument of MS-HAB's environments", "num_envs"),
         ({"task_cfgs": {"pickle": {}}}, "subtask in task_cfgs", "pick"),
+        ({"task_cfgs": "pick"}, "task_cfgs", "a mapping"),
+        ({"task_cfgs": {"pick": {"horizon": "a"}}}, "task_cfgs['pick']['horizon']", "a"),
         ({"task_plans": [plan]}, "task_plans", "plans of one pick each"),
+        ({"task_plans": "plans.json"}, "task_plans", "plan_data_from_file"),
+        ({"scene_builder_cls": 4}, "scene_builder_cls", "name"),
+        ({"shader_dir": "minimall"}, "shader_dir", "minimal"),
+        ({"add_event_tracker_info": "yes"}, "add_event_tracker_info", "True or False"),
+        ({"reconfiguration_freq": "x"}, "reconfiguration_freq", "whole number"),
+        ({"sensor_configs": {"fetch_hed": {}}}, "camera in sensor_configs", "fetch_head"),
+        ({"sensor_configs": {"width": "9"}}, "size in sensor_configs", "whole number"),
+        ({"mjhab_options": {"num_envs": 3}}, "mjhab_options", "num_envs beside"),
     ):
         with refused(option) as caught:
             read_arguments("pick", given)

@@ -14,11 +14,16 @@ import gymnasium
 import pytest
 import torch
 
-from mjhab.compat.mshab.running.check import FOREIGN, check_script
+from mjhab.compat.mshab.running.check import check_script
 from mjhab.compat.mshab.running.forks import own_modules
 from mjhab.compat.mshab.running.hook import Answers
-from mjhab.compat.mshab.running.script import checkout_of, find_script, run_script
-from mjhab.compat.mshab.running.table import MSHAB
+from mjhab.compat.mshab.running.script import (
+    checkout_of,
+    find_script,
+    run_module,
+    run_script,
+)
+from mjhab.compat.mshab.running.table import FOREIGN, MSHAB
 from mjhab.core.errors import UsageError
 
 SCRIPTS = Path(__file__).parent / "scripts"
@@ -146,6 +151,21 @@ def test_the_checkout_is_found_above_its_scripts(tmp_path: Path) -> None:
     script.write_text("from mshab.agents import Agent")
     assert check_script(script)["imports"] == {"mshab.agents.Agent": "answered"}
     sys.path.remove(str(tmp_path))
+
+
+def test_an_import_that_is_not_answered_is_told_with_its_place(
+    lines: Lines, tmp_path: Path
+) -> None:
+    script = tmp_path / "tasks.py"
+    for text, missing in (
+        ("import mani_skill.envs.tasks", "No module named 'mani_skill.envs.tasks'"),
+        ("from mshab.envs.make import no_such", "cannot import name 'no_such'"),
+    ):
+        script.write_text(f"import json\n{text}\n")
+        with pytest.raises(UsageError, match=rf"tasks.py, line 2: {missing}.*--check"):
+            lines(str(script))
+    with pytest.raises(UsageError, match=r"mshab.train_sac: no such module"):
+        run_module("mshab.train_sac", [])
 
 
 def test_a_script_that_is_not_there_is_refused() -> None:

@@ -26,6 +26,8 @@ def main(arguments: list[str]) -> int:
             raise UsageError(f"-m needs the name of a module.\n{USAGE}")
         run_module(arguments[1], arguments[2:])
         return 0
+    if arguments[0].startswith("-"):
+        raise UsageError(f"unknown option {arguments[0]}.\n{USAGE}")
     run_script(find_script(arguments[0]), arguments[1:])
     return 0
 

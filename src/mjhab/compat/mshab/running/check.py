@@ -11,12 +11,11 @@ from typing import Any
 from mjhab.compat.mshab.ids import IDS
 from mjhab.compat.mshab.running.hook import answered_modules, installed
 from mjhab.compat.mshab.running.script import checkout_of
+from mjhab.compat.mshab.running.table import FOREIGN
 from mjhab.core.errors import about
 
 ANSWERED = "answered"
 MISSING = "missing"
-FOREIGN = ("mshab", "mani_skill", "sapien")
-"""Packages whose modules are answered; of others it is told whether they are installed."""
 
 
 def check_script(script: Path) -> dict[str, Any]:
@@ -65,6 +64,7 @@ def _is_answered(module: str, name: str, modules: dict[str, dict[str, str]]) -> 
         return not name or name in modules[module] or f"{module}.{name}" in modules
     top = module.partition(".")[0]
     if top not in FOREIGN:
+        # Of other packages it is told whether they are installed.
         return installed(top)
     return _lies_there(module)
 

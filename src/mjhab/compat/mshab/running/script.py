@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import importlib.util
 import runpy
 import sys
-from collections.abc import Sequence
+import traceback
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 
 from mjhab.compat.mshab.running.habits import keep_old_habits, stay_on_the_cpu
 from mjhab.compat.mshab.running.hook import install
+from mjhab.compat.mshab.running.table import FOREIGN
 from mjhab.core.errors import UsageError, warn_once
 
 PACKAGE = "mshab"
@@ -38,17 +42,50 @@ def checkout_of(script: Path) -> Path | None:
 
 
 def run_script(script: Path, arguments: Sequence[str]) -> None:
-    """Run a file as ``__main__``."""
+    """Run a file as ``__main__``.
+
+    Raises:
+        UsageError: it imports what is not answered.
+    """
     prepare(script.resolve().parent, checkout_of(script))
     sys.argv = [str(script), *arguments]
-    runpy.run_path(str(script), run_name="__main__")
+    with _imports_told():
+        runpy.run_path(str(script), run_name="__main__")
 
 
 def run_module(name: str, arguments: Sequence[str]) -> None:
-    """Run a module, such as ``mshab.train_sac``, as ``__main__``; it is looked for in the present folder, too."""
+    """Run a module, such as ``mshab.train_sac``, as ``__main__``; it is looked for in the present folder, too.
+
+    Raises:
+        UsageError: there is no such module, or it imports what is not answered.
+    """
     prepare(Path.cwd(), None)
+    try:
+        found = importlib.util.find_spec(name)
+    except ModuleNotFoundError:
+        found = None
+    if found is None:
+        raise UsageError(
+            f"{name}: no such module. Begin in the folder that holds its package, such as a checkout of MS-HAB."
+        )
     sys.argv = [name, *arguments]
-    runpy.run_module(name, run_name="__main__", alter_sys=True)
+    with _imports_told():
+        runpy.run_module(name, run_name="__main__", alter_sys=True)
+
+
+@contextmanager
+def _imports_told() -> Iterator[None]:
+    """Tell an import that is not answered in one line, with its place."""
+    try:
+        yield
+    except ImportError as error:
+        if (error.name or "").partition(".")[0] not in FOREIGN:
+            raise
+        place = traceback.extract_tb(error.__traceback__)[-1]
+        raise UsageError(
+            f"{place.filename}, line {place.lineno}: {error}. mjhab does not answer it; "
+            "`python -m mjhab.compat.mshab --check SCRIPT.py` lists all that a script misses."
+        ) from error
 
 
 def prepare(folder: Path, checkout: Path | None) -> None:

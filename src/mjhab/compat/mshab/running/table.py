@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+FOREIGN = ("mshab", "mani_skill", "sapien")
+"""Packages whose modules are answered."""
 _OURS = "mjhab.compat.mshab."
 _WORLDS = _OURS + "worlds."
 _WRAPPERS = _OURS + "wrappers."

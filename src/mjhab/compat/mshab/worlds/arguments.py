@@ -10,6 +10,7 @@ from typing import Any
 from mjhab.compat.mshab.files.plans import TaskPlan
 from mjhab.compat.mshab.files.subtasks import SUBTASK_CLASSES, SubtaskConfig
 from mjhab.compat.mshab.worlds.limits import changed_configs, default_configs
+from mjhab.compat.mshab.worlds.sensors import SIDE_PX, asked_pictures, is_ray_traced
 from mjhab.core.errors import UsageError, unknown_name, warn_once, wrong_value
 from mjhab.core.typed.checks import check
 from mjhab.robots.registry import DEFAULT_ROBOT
@@ -51,6 +52,21 @@ _NO_MEANING = {
     "invisible_goals_in_human_render": "human views show no goals",
 }
 """Arguments that change nothing here, and why."""
+_DECIDED = {
+    "num_envs": "Give num_envs beside it.",
+    "backend": "Give sim_backend.",
+    "subtask": "The id of the environment says it.",
+    "obs_mode": "Give obs_mode beside it.",
+    "camera_size": "Give sensor_configs.",
+    "control_mode": "Give control_mode beside it.",
+    "reward_mode": "Give reward_mode beside it.",
+    "horizon": "Give max_episode_steps, or task_cfgs.",
+    "overrides": "Give task_cfgs.",
+    "continuous": "ManiSkillVectorEnv(ignore_terminations=...) says it.",
+    "autoreset": "ManiSkillVectorEnv(auto_reset=...) says it.",
+    "stationary": "FetchActionWrapper says it.",
+}
+"""Options of `mjhab.make` that the layer decides, and where."""
 _FIXED: dict[str, tuple[Any, str]] = {
     "robot_force_mult": (0.001, "the reward has the published weight of forces"),
     "robot_force_penalty_min": (0.2, "the reward has the published threshold of forces"),
@@ -92,7 +108,7 @@ class Arguments:
     reward_mode: str = "normalized_dense"
     control_mode: str = "pd_joint_delta_pos"
     render_mode: str | None = None
-    camera_size: tuple[int, int] = (128, 128)
+    camera_size: tuple[int, int] = (SIDE_PX, SIDE_PX)
     ray_traced: bool = False
     backend: str = "cpu"
     task_plans: list[TaskPlan] = field(default_factory=list)
@@ -210,6 +226,17 @@ def _plain(attribute: str) -> Callable[[Arguments, Any], None]:
     return take
 
 
+def _flag(attribute: str, argument: str) -> Callable[[Arguments, Any], None]:
+    """Taker of True or False; None stands for the default."""
+
+    def take(made: Arguments, value: Any) -> None:
+        if value is not None:
+            check(isinstance(value, bool), argument, value, "True or False")
+            setattr(made, attribute, value)
+
+    return take
+
+
 def _take_robot(made: Arguments, value: Any) -> None:
     name = value[0] if isinstance(value, list | tuple) and len(value) == 1 else value
     if name not in (None, DEFAULT_ROBOT):
@@ -240,35 +267,14 @@ def _take_backend(made: Arguments, value: Any) -> None:
 
 
 def _take_shader(made: Arguments, value: Any) -> None:
-    made.ray_traced = str(value or "").startswith("rt")
+    if value is not None:
+        made.ray_traced = is_ray_traced(value)
 
 
 def _take_sensors(made: Arguments, value: Any) -> None:
-    """Size of the pictures, for all cameras; they have one size here."""
-    sizes = set()
-    for config in _camera_configs(value or {}):
-        for name in config:
-            if name == "shader_pack":
-                _take_shader(made, config[name])
-            elif name not in ("width", "height"):
-                raise unknown_name(
-                    "entry of sensor_configs", name, ("width", "height", "shader_pack")
-                )
-        sizes.add((config.get("height", 128), config.get("width", 128)))
-    if len(sizes) > 1:
-        raise wrong_value("sensor_configs", value, "one width and height for all cameras")
-    if sizes:
-        made.camera_size = sizes.pop()
-
-
-def _camera_configs(value: Mapping[str, Any]) -> list[Mapping[str, Any]]:
-    """Settings for all cameras, and those of single ones with what they leave to them."""
-    check(
-        isinstance(value, Mapping), "sensor_configs", value, "a mapping of width, height"
-    )
-    common = {k: v for k, v in value.items() if not isinstance(v, Mapping)}
-    single = [{**common, **v} for v in value.values() if isinstance(v, Mapping)]
-    return [*single] if single else ([common] if common else [])
+    size, shader = asked_pictures(value)
+    made.camera_size = size or made.camera_size
+    _take_shader(made, shader)
 
 
 def _take_configs(made: Arguments, value: Any) -> None:
@@ -281,6 +287,8 @@ def _take_ajar(made: Arguments, value: Any) -> None:
 
 
 def _take_reconfiguration(made: Arguments, value: Any) -> None:
+    if value is not None:
+        check(isinstance(value, int), "reconfiguration_freq", value, "a whole number")
     made.redraws_homes = made.num_envs == 1 if value is None else bool(value)
 
 
@@ -289,7 +297,29 @@ def _take_spawns(made: Arguments, value: Any) -> None:
 
 
 def _take_plans(made: Arguments, value: Any) -> None:
-    made.task_plans = list(value or ())
+    given = [] if value is None else value
+    good = isinstance(given, list | tuple) and all(
+        isinstance(plan, TaskPlan) for plan in given
+    )
+    advice = "plan_data_from_file(path).plans gives one."
+    check(good, "task_plans", value, "a list of TaskPlan", advice)
+    made.task_plans = list(given)
+
+
+def _take_builder(made: Arguments, value: Any) -> None:
+    good = value is None or isinstance(value, str) or hasattr(value, "__name__")
+    check(good, "scene_builder_cls", value, "the name of a data set, or its class")
+    made.scene_builder_cls = value or ""
+
+
+def _take_own_options(made: Arguments, value: Any) -> None:
+    """Options of `mjhab.make`; those that arguments here decide are refused."""
+    given = {} if value is None else value
+    check(isinstance(given, Mapping), "mjhab_options", value, "a mapping")
+    for name in given:
+        if name in _DECIDED:
+            raise wrong_value("mjhab_options", name, "of another option", _DECIDED[name])
+    made.mjhab_options = dict(given)
 
 
 _TAKEN: dict[str, Callable[[Arguments, Any], None]] = {
@@ -303,14 +333,18 @@ _TAKEN: dict[str, Callable[[Arguments, Any], None]] = {
     "shader_dir": _take_shader,
     "sensor_configs": _take_sensors,
     "task_plans": _take_plans,
-    "scene_builder_cls": _plain("scene_builder_cls"),
+    "scene_builder_cls": _take_builder,
     "spawn_data_fp": _take_spawns,
-    "require_build_configs_repeated_equally_across_envs": _plain("equal_homes"),
-    "randomize_build_configs_per_env": _plain("random_homes"),
+    "require_build_configs_repeated_equally_across_envs": _flag(
+        "equal_homes", "require_build_configs_repeated_equally_across_envs"
+    ),
+    "randomize_build_configs_per_env": _flag(
+        "random_homes", "randomize_build_configs_per_env"
+    ),
     "reconfiguration_freq": _take_reconfiguration,
-    "add_event_tracker_info": _plain("tells_events"),
+    "add_event_tracker_info": _flag("tells_events", "add_event_tracker_info"),
     "task_cfgs": _take_configs,
     "randomly_slightly_open_articulation": _take_ajar,
-    "mjhab_options": _plain("mjhab_options"),
+    "mjhab_options": _take_own_options,
 }
 """Arguments that are honoured."""

@@ -154,9 +154,14 @@ class OwnDraw:
         self.task_plan_idxs = np.zeros(num_envs, np.int64)
         self.spawn_selection_idxs: list[int | None] = [0] * num_envs
 
-    def build(self, chosen: Sequence[int] | None) -> None:
-        """Refuse chosen homes: they are mjhab's options here."""
-        if chosen is not None:
-            raise UsageError(
-                "build_config_idxs needs task_plans; without them give mjhab_options={'home': NAME}."
-            )
+    def refuse(self, options: Mapping[str, Any]) -> None:
+        """Refuse reset options that choose homes, plans or starts: without plans there are none.
+
+        Raises:
+            UsageError: one is given.
+        """
+        for name in ("build_config_idxs", "task_plan_idxs", "spawn_selection_idxs"):
+            if options.get(name) is not None:
+                raise UsageError(
+                    f"{name} needs task_plans; without them give mjhab_options={{'home': NAME}}."
+                )

@@ -7,6 +7,7 @@ The layer translates: physics, success, rewards and pictures are those of `mjhab
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar
 
@@ -22,7 +23,7 @@ from mjhab.compat.mshab.worlds.parts import SceneParts
 from mjhab.compat.mshab.worlds.starting import open_setting
 from mjhab.compat.mshab.worlds.telling import Telling
 from mjhab.core.arrays import to_numpy
-from mjhab.core.errors import UsageError, unknown_name, wrong_value
+from mjhab.core.errors import UsageError, unknown_name, wrong_type, wrong_value
 from mjhab.envs.spaces import batched
 
 RESET_OPTIONS = (
@@ -113,12 +114,13 @@ class MsHabEnv(SceneParts, gymnasium.Env):
         Raises:
             UsageError: an unknown option, or an index that does not exist.
         """
+        if options is not None and not isinstance(options, Mapping):
+            raise wrong_type("options", options, "a mapping such as {'env_idx': [0]}")
         options = dict(options or {})
         for name in options:
             if name not in RESET_OPTIONS:
                 raise unknown_name("reset option", name, RESET_OPTIONS)
-        chosen = options.get("env_idx")
-        begun = list(range(self.num_envs)) if chosen is None else _indices(chosen)
+        begun = _indices(options.get("env_idx"), self.num_envs)
         reconfigure = bool(options.get("reconfigure"))
         whole = len(begun) == self.num_envs
         if reconfigure and not whole:
@@ -145,7 +147,7 @@ class MsHabEnv(SceneParts, gymnasium.Env):
         ours: dict[str, Any] = {"reset_mask": self._given(mask)}
         draw = self._draw
         if isinstance(draw, OwnDraw):
-            draw.build(options.get("build_config_idxs"))
+            draw.refuse(options)
             flat, _ = self.worlds.reset(seed=self._own_seed(seeds), options=ours)
         else:
             draw.begin(seeds, begun)
@@ -169,7 +171,10 @@ class MsHabEnv(SceneParts, gymnasium.Env):
             listed = listed * self.num_envs
         if len(listed) != self.num_envs:
             raise wrong_value("seed", seed, f"one number, or {self.num_envs}")
-        return [int(each) for each in listed]
+        try:
+            return [operator.index(each) for each in listed]
+        except TypeError as error:
+            raise wrong_type("seed", seed, "a whole number, or one per world") from error
 
     def _own_seed(self, seeds: list[int] | None) -> Any:
         """Seed for our environment: one number, or one for each world, where it takes those."""
@@ -191,7 +196,10 @@ class MsHabEnv(SceneParts, gymnasium.Env):
             Observations, reward (W,) float32, terminated (W,) bool (success or failure), truncated (W,) bool (never),
             and `info`.
         """
-        action = torch.as_tensor(action)
+        try:
+            action = torch.as_tensor(action)
+        except (TypeError, ValueError, RuntimeError) as error:
+            raise wrong_type("action", action, "a tensor or array of numbers") from error
         if action.ndim == 1 and self.num_envs == 1:
             action = action[None]
         ours = action.detach().cpu().numpy() if self._on_host else action
@@ -247,8 +255,17 @@ class MsHabEnv(SceneParts, gymnasium.Env):
         self.worlds.close()
 
 
-def _indices(chosen: Any) -> list[int]:
-    """Worlds of "env_idx", a tensor, array or list of their indices."""
-    if isinstance(chosen, torch.Tensor):
-        chosen = to_numpy(chosen)
-    return [int(world) for world in chosen]
+def _indices(chosen: Any, worlds: int) -> list[int]:
+    """Worlds of "env_idx", a tensor, array or list of their indices; all if None."""
+    if chosen is None:
+        return list(range(worlds))
+    listed = to_numpy(chosen) if isinstance(chosen, torch.Tensor) else chosen
+    try:
+        indices = np.asarray(listed)
+    except ValueError:
+        indices = np.zeros(0, object)
+    kinds = "iu" if indices.size else "iuf"
+    good = indices.ndim == 1 and indices.dtype.kind in kinds
+    if not good or not ((indices >= 0) & (indices < worlds)).all():
+        raise wrong_value("env_idx", chosen, f"indices of worlds, each below {worlds}")
+    return indices.astype(int).tolist()

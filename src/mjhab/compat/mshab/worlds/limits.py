@@ -47,13 +47,20 @@ def changed_configs(
     """Change limits in place, as the argument ``task_cfgs`` asks: ``{"pick": {"horizon": 100}}``.
 
     Raises:
-        UsageError: no such kind of subtask, or its limits are no mapping.
+        UsageError: no such kind of subtask, its limits are no mapping, or a limit is no number.
     """
-    for kind, values in (changes or {}).items():
+    given = {} if changes is None else changes
+    if not isinstance(given, Mapping):
+        raise wrong_type("task_cfgs", given, "a mapping of limits by subtask")
+    for kind, values in given.items():
         if kind not in configs:
             raise unknown_name("subtask in task_cfgs", kind, configs)
         if not isinstance(values, Mapping):
             raise wrong_type(f"task_cfgs[{kind!r}]", values, "a mapping of limits")
+        for name, value in values.items():
+            is_number = isinstance(getattr(configs[kind], name, None), int | float)
+            if is_number and not isinstance(value, int | float):
+                raise wrong_type(f"task_cfgs[{kind!r}][{name!r}]", value, "a number")
         configs[kind].update(values)
         # The rules of the class hold for what was changed, too.
         configs[kind].__post_init__()

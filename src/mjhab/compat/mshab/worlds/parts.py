@@ -210,6 +210,14 @@ class SceneParts:
             "robot_cumulative_force": self.robot_cumulative_force,
         }
 
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("_"):
+            raise AttributeError(f"{type(self).__name__} has no attribute {name!r}")
+        raise AttributeError(
+            f"mjhab does not answer {name!r} of MS-HAB's environments. What it answers stands in docs/ms_hab.md; "
+            "env.unwrapped.worlds is its own environment."
+        )
+
     def set_state_dict(self, state_dict: Mapping[str, Any]) -> None:
         """Refused: such a state lacks what our engine needs to go on exactly.
 

@@ -9,10 +9,11 @@ import gymnasium
 import torch
 
 from mjhab.compat.mshab.tools.trees import flatten_state_dict, to_tensor
+from mjhab.compat.mshab.worlds.sensors import CAMERAS
 from mjhab.compat.mshab.wrappers.forwarding import ForwardingWrapper
 from mjhab.core.errors import UsageError, unknown_name
+from mjhab.core.typed.checks import check
 
-CAMERAS = ("fetch_head", "fetch_hand")
 DEPTH_KEYS = ("fetch_head_depth", "fetch_hand_depth")
 PIXELS = "pixels"
 
@@ -94,6 +95,8 @@ class _Stack(_Shown):
         self, env: gymnasium.Env, num_stack: int, stacking_keys: Sequence[str]
     ) -> None:
         super().__init__(env)
+        good = isinstance(num_stack, int) and num_stack > 0
+        check(good, "num_stack", num_stack, "a whole number above 0")
         self._num_stack = num_stack
         self._keys = list(stacking_keys)
         known = env.unwrapped.single_observation_space.spaces  # type: ignore[attr-defined]

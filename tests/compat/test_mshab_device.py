@@ -57,6 +57,43 @@ def test_worlds_on_a_device_show_what_those_on_the_host_do(vector: Any) -> None:
             )
 
 
+def test_tensors_of_a_device_never_pass_through_numpy(
+    vector: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    vector.reset(seed=0)
+
+    def refuse(*_: Any, **__: Any) -> Any:
+        raise AssertionError("a tensor of the device was copied to the host")
+
+    with monkeypatch.context() as patched:
+        for name in ("numpy", "cpu", "tolist", "__array__"):
+            patched.setattr(torch.Tensor, name, refuse)
+        patched.setattr(torch, "from_numpy", refuse)
+        obs, _, _, _, info = vector.step(torch.zeros(2, 13))
+    base = vector.unwrapped
+    shown = (obs["agent"]["qpos"], info["robot_force"], base.subtask_objs[0].pose.p)
+    assert all(values.device == base.device for values in shown)
+    qpos = base.worlds.observe()["agent/qpos"]
+    assert torch.equal(obs["agent"]["qpos"], qpos)
+
+
+def test_a_whole_task_runs_on_a_device() -> None:
+    env = gymnasium.make(
+        "SequentialTask-v0",
+        num_envs=1,
+        sim_backend="warp",
+        obs_mode="state_dict",
+        mjhab_options={"device": TEST_DEVICE, "starts": 1},
+    )
+    _, info = env.reset(seed=0)
+    left = info["subtasks_steps_left"].item()
+    _, reward, terminated, _, info = env.step(torch.zeros(1, 13))
+    assert info["subtasks_steps_left"].item() == left - 1
+    assert reward.item() == 0 and not terminated.item()
+    assert "obj_at_goal_progressive_5" in info
+    assert info["success"].dtype == torch.bool
+
+
 def test_worlds_on_a_device_begin_anew_when_time_is_up(vector: Any) -> None:
     first, _ = vector.reset(seed=0)
     for step in range(1, STEPS + 1):
@@ -71,3 +108,5 @@ def test_worlds_on_a_device_begin_anew_when_time_is_up(vector: Any) -> None:
     assert len(set(base.task_plan[0].composite_subtask_uids)) == 2
     with pytest.raises(UsageError, match="sim_backend='cpu'"):
         base.render()
+    with pytest.raises(UsageError, match="leave out env_idx"):
+        vector.reset(seed=1, options={"env_idx": [0]})

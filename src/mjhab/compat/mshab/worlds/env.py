@@ -123,6 +123,8 @@ class MsHabEnv(SceneParts, gymnasium.Env):
         begun = _indices(options.get("env_idx"), self.num_envs)
         reconfigure = bool(options.get("reconfigure"))
         whole = len(begun) == self.num_envs
+        if seed is not None and not (whole or self._on_host):
+            raise UsageError("on a device a seed is for all worlds: leave out env_idx.")
         if reconfigure and not whole:
             raise UsageError("reconfigure=True is for all worlds: leave out env_idx.")
         reconfigure = reconfigure or (self.arguments.redraws_homes and whole)

@@ -106,7 +106,8 @@ class Telling:
         else:
             success = (pointer >= last) & signals.placed_ok
             at = xp.minimum(pointer, last - 1)
-            left = self._horizons[at] - progress.subtask_step - (pointer == 0)
+            begun = cast(pointer == 0, progress.subtask_step.dtype)
+            left = self._horizons[at] - progress.subtask_step - begun
             fail = ((left <= 0) & ~success) | ~within | ~signals.placed_ok
             kind = xp.where(success, FINISHED, worlds.focus.kind)
         told: dict[str, Any] = {

@@ -78,7 +78,7 @@ def test_tensors_of_a_device_never_pass_through_numpy(
 
 
 def test_a_whole_task_runs_on_a_device() -> None:
-    env = gymnasium.make(
+    env: Any = gymnasium.make(
         "SequentialTask-v0",
         num_envs=1,
         sim_backend="warp",

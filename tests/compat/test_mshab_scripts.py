@@ -45,7 +45,7 @@ def lines(monkeypatch: Any, capsys: Any) -> Iterator[Lines]:
     monkeypatch.setattr(torch.Tensor, "cuda", torch.Tensor.cuda)
     monkeypatch.setattr(gymnasium.Wrapper, "__getattr__", None, raising=False)
     # So that the script begins without, and its habit is taken away with this one.
-    del gymnasium.Wrapper.__getattr__
+    delattr(gymnasium.Wrapper, "__getattr__")
 
     def printed(name: str, *arguments: str | Path) -> list[str]:
         run_script(SCRIPTS / name, list(map(str, arguments)))

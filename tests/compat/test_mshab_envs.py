@@ -142,9 +142,9 @@ def test_a_partial_reset_leaves_the_other_worlds(
     drawn: list[int] = []
     draw = observer.draw
 
-    def counted(state: Any, homes: Any, target: Any = None) -> Any:
+    def counted(state: Any, homes: Any, *more: Any) -> Any:
         drawn.append(len(homes))
-        return draw(state, homes, target)
+        return draw(state, homes, *more)
 
     monkeypatch.setattr(observer, "draw", counted)
     after, info = env.reset(options={"env_idx": torch.tensor([1])})

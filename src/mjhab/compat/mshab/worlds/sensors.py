@@ -8,7 +8,7 @@ from typing import Any
 from mjhab.core.errors import unknown_name, wrong_value
 from mjhab.core.typed.checks import check, check_one_of
 
-CAMERAS = ("fetch_head", "fetch_hand")
+FETCH_CAMERAS = ("fetch_head", "fetch_hand")
 SHADERS = ("minimal", "default", "rt", "rt-fast", "rt-med")
 """Ways of drawing of ManiSkill."""
 ENTRIES = ("width", "height", "shader_pack")
@@ -59,6 +59,6 @@ def _of_cameras(value: Any) -> list[Mapping[str, Any]]:
     single = []
     for name, own in value.items():
         if isinstance(own, Mapping):
-            check_one_of("camera in sensor_configs", name, CAMERAS)
+            check_one_of("camera in sensor_configs", name, FETCH_CAMERAS)
             single.append({**common, **own})
     return single or ([common] if common else [])

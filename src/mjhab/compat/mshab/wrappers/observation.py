@@ -9,7 +9,7 @@ import gymnasium
 import torch
 
 from mjhab.compat.mshab.tools.trees import flatten_state_dict, to_tensor
-from mjhab.compat.mshab.worlds.sensors import CAMERAS
+from mjhab.compat.mshab.worlds.sensors import FETCH_CAMERAS
 from mjhab.compat.mshab.wrappers.forwarding import ForwardingWrapper
 from mjhab.core.errors import UsageError, unknown_name
 from mjhab.core.typed.checks import check
@@ -67,7 +67,7 @@ class FetchDepthObservationWrapper(_Shown):
         # (W, h, w, 1) to (W, 1, h, w): the same numbers in the same order.
         depth = [
             observation["sensor_data"][camera]["depth"].movedim(-1, 1)
-            for camera in CAMERAS
+            for camera in FETCH_CAMERAS
         ]
         if self.cat_pixels:
             return {**shown, "all_depth": torch.stack(depth, dim=-3)}

@@ -18,6 +18,8 @@ import mjhab
 from mjhab.cli.main import main as command
 
 HOMES = ("builtin_m0_00", "builtin_m1_02", "builtin_m2_05", "builtin_m3_04")
+LIGHTS = ("midday", "midday", "evening", "midday")
+"""Time of day of each home in the pictures of the path tracer."""
 PICTURE = (640, 400)
 """Width and height of a picture of a home [px]."""
 FILM = (480, 270)
@@ -31,15 +33,27 @@ NEAR_TO_FAR_M = 3.0
 
 
 def make_homes(into: Path, scratch: Path) -> None:
-    """homes.webp: two by two built-in homes, each from a corner of a room."""
-    pictures = []
-    for home in HOMES:
-        path = scratch / f"{home}.png"
-        size = ("--width", str(PICTURE[0]), "--height", str(PICTURE[1]))
-        _run("homes", "render", home, "--view", "inside", *size, "--out", str(path))
-        pictures.append(np.asarray(Image.open(path).convert("RGB")))
+    """homes.webp: two by two built-in homes, each from a corner of a room. photo_builtin.webp: by the path tracer."""
+    drawn = [_home(home, scratch) for home in HOMES]
+    _two_by_two(drawn).save(into / "homes.webp", quality=QUALITY)
+    traced = [
+        _home(home, scratch, "--shader", "path", "--shading.light", light)
+        for home, light in zip(HOMES, LIGHTS, strict=True)
+    ]
+    _two_by_two(traced).save(into / "photo_builtin.webp", quality=QUALITY)
+
+
+def _home(home: str, scratch: Path, *options: str) -> np.ndarray:
+    path = scratch / f"{home}.png"
+    size = ("--width", str(PICTURE[0]), "--height", str(PICTURE[1]))
+    shown = ("--view", "inside", *size, *options)
+    _run("homes", "render", home, *shown, "--out", str(path))
+    return np.asarray(Image.open(path).convert("RGB"))
+
+
+def _two_by_two(pictures: Sequence[np.ndarray]) -> Image.Image:
     rows = [np.concatenate(pictures[at : at + 2], axis=1) for at in (0, 2)]
-    Image.fromarray(np.concatenate(rows)).save(into / "homes.webp", quality=QUALITY)
+    return Image.fromarray(np.concatenate(rows))
 
 
 def make_films(into: Path, scratch: Path) -> None:

@@ -29,7 +29,7 @@ from mjhab.core.errors import UsageError
 from mjhab.core.joints import BASE_XY
 from mjhab.core.rotations import pose_inv, pose_mul
 from mjhab.envs.perturbations.language import with_synonym, with_typo
-from mjhab.envs.perturbations.pixels import blurred, from_linear, normals, to_linear
+from mjhab.envs.perturbations.pixels import blur, recolour, relight
 from mjhab.envs.sequential import SequentialTaskEnv
 from mjhab.robots.fetch.robot import ROBOT
 from mjhab.tasks.subtasks.registry import SUBTASKS
@@ -459,20 +459,38 @@ def test_a_device_has_what_the_host_makes() -> None:
 
 
 def test_pixels() -> None:
-    every = np.arange(256, dtype=np.uint8)
-    np.testing.assert_array_equal(from_linear(to_linear(every)), every)
-    brighter = from_linear(2.0 * to_linear(every)).astype(int)
-    assert (brighter[1:-1] > every[1:-1]).all() and brighter[-1] == 255
-    # A wall across the line of sight, and light from behind the camera.
-    wall = np.full((8, 8), 2.0, np.float32)
-    facing = normals(wall, 8.0, np.array([0, 0, 1], np.float32))
-    np.testing.assert_allclose(facing, 1.0, atol=1e-6)
-    assert not normals(np.zeros((8, 8), np.float32), 8.0, np.ones(3, np.float32)).any()
-    spot = np.zeros((1, 9, 9, 1), np.float32)
-    spot[0, 4, 4] = 1.0
-    soft = blurred(spot, 1.0)
-    assert soft.sum() == pytest.approx(1.0, abs=1e-5) and soft.max() < 0.2
-    np.testing.assert_allclose(soft, soft[:, ::-1, ::-1])
+    every = np.repeat(np.arange(256, dtype=np.uint8).reshape(16, 16, 1), 3, axis=2)
+    wall = np.full((16, 16), 2.0, np.float32)
+    behind = np.array([0.0, 0.0, 1.0])
+
+    def lit(side: float, gain: float, toward: np.ndarray = behind) -> np.ndarray:
+        image = every.copy()
+        relight(image, wall, 16.0, toward, side, np.full(3, gain))
+        return image
+
+    np.testing.assert_array_equal(lit(0.0, 1.0), every)
+    brighter = lit(0.0, 2.0).astype(int)
+    assert (brighter.ravel()[3:-3] > every.ravel()[3:-3]).all()
+    # A wall across the line of sight: light from behind the camera falls on it, light from behind the wall does not.
+    for one, other in (
+        (lit(0.2, 1.0), lit(0.0, 1.6)),
+        (lit(0.2, 1.0, -behind), lit(0.0, 0.8)),
+    ):
+        assert np.abs(one.astype(int) - other).max() <= 1
+    image = every.copy()
+    seg = np.zeros((16, 16), np.int32)
+    seg[8:] = 1
+    swap = np.eye(3, dtype=np.float32)
+    recolour(image, seg, np.stack([swap, 0.0 * swap]))
+    assert (image[:8] == every[:8]).all() and not image[8:].any()
+    spot = np.zeros((9, 9, 3), np.uint8)
+    spot[4, 4] = 200
+    blur(spot, 1.0)
+    assert 0 < spot[4, 5, 0] == spot[5, 4, 0] == spot[4, 3, 0] < spot[4, 4, 0] < 200
+    np.testing.assert_array_equal(spot, spot[::-1, ::-1])
+    plain = np.full((5, 5, 3), 77, np.uint8)
+    blur(plain, 0.7)
+    assert (plain == 77).all()
 
 
 def test_every_subtask_begins_with_every_axis() -> None:

@@ -198,6 +198,15 @@ def test_arms_that_are_no_numbers_are_refused(
         write_result(tmp_path / "arms.json", facts, result[1].episodes)
 
 
+def test_rows_by_name(small: Any) -> None:
+    asked = manifest("subtasks", "test")
+    names = [row.name for row in ROWS]
+    assert [row.name for row in runs.rows_of(asked, ())] == names
+    assert [row.name for row in runs.rows_of(asked, names[1:])] == names[1:]
+    with pytest.raises(UsageError, match=r"unknown row 'set_table\.clos'\. Did you mean"):
+        runs.rows_of(asked, ["set_table.clos"])
+
+
 def test_an_axis_that_is_none_is_refused_before_anything_is_run() -> None:
     with pytest.raises(UsageError, match="Did you mean 'light'"):
         ScoreSpec.of("random", perturb="lihgt:2")

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import lru_cache
 
 import numpy as np
 
 from mjhab.config.perturbing import Drawn, Perturbation, PictureFrame, Quantity
-from mjhab.envs.perturbations.pixels import from_linear, to_linear
+from mjhab.envs.perturbations.pixels import recolour
 
 IDS = 1024
 """Segments whose colours are drawn; the one with id i has those of number i modulo IDS."""
+EPISODES_KEPT = 256
+"""Episodes whose matrices are kept in memory; each takes 36 KiB."""
 LUMA = (0.2126, 0.7152, 0.0722)
 """Shares of red, green and blue in the brightness of linear light (ITU-R BT.709)."""
 
@@ -41,15 +44,21 @@ class ColoursAxis(Perturbation):
             return
         mixes = _mixes(drawn)
         for rgb, seg in zip(images["rgb"], images["seg"], strict=True):
-            light = to_linear(rgb)
-            mixed = np.einsum("yxab,yxb->yxa", mixes[seg % IDS], light)
-            rgb[:] = from_linear(np.maximum(mixed, np.float32(0.0)))
+            recolour(rgb, seg, mixes)
 
 
 def _mixes(drawn: Drawn) -> np.ndarray:
     """(IDS, 3, 3) float32, the matrix of each segment in linear light; that of the background changes nothing."""
-    random = drawn.stream()
-    size = drawn.amounts
+    # Kept, because every image of an episode needs them.
+    return _kept_mixes(drawn.level, drawn.seed, drawn.index)
+
+
+@lru_cache(maxsize=EPISODES_KEPT)
+def _kept_mixes(level: int, seed: int, index: int) -> np.ndarray:
+    size = {
+        name: quantity.levels[level - 1] for name, quantity in COLOURS.quantities.items()
+    }
+    random = Drawn(COLOURS.name, level, seed, index, size).stream()
     hue = np.radians(size["hue"]) * random.uniform(-1.0, 1.0, IDS)
     saturation = 1.0 + size["saturation"] * random.uniform(-1.0, 1.0, IDS)
     brightness = 1.0 + size["brightness"] * random.uniform(-1.0, 1.0, IDS)

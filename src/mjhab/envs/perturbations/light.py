@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from mjhab.config.perturbing import Drawn, Perturbation, PictureFrame, Quantity
-from mjhab.envs.perturbations.pixels import from_linear, normals, to_linear
+from mjhab.envs.perturbations.pixels import relight
 from mjhab.robots.robot import Robot
 
 
@@ -56,18 +56,13 @@ class LightAxis(Perturbation):
         """Change "rgb" by the gain and by how far a surface is turned to the light."""
         if "rgb" not in images:
             return
-        side = np.float32(drawn.amounts["side"])
-        gain = np.array(drawn.values["gain"], np.float32)
-        toward = np.array(drawn.values["from"])
+        gain = np.array(drawn.values["gain"])
+        world = np.array(drawn.values["from"])
         for camera, rgb in enumerate(images["rgb"]):
-            facing = normals(
-                images["depth"][camera],
-                frame.focal[camera],
-                (toward @ frame.mat[camera]).astype(np.float32),
-            )
-            # On the mean over all directions, a surface keeps its light.
-            share = (1.0 - side) + side * 4.0 * np.maximum(facing, np.float32(0.0))
-            rgb[:] = from_linear(to_linear(rgb) * (share[..., None] * gain))
+            toward = world @ frame.mat[camera]
+            focal = float(frame.focal[camera])
+            side = drawn.amounts["side"]
+            relight(rgb, images["depth"][camera], focal, toward, side, gain)
 
 
 LIGHT = LightAxis()

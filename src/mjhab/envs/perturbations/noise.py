@@ -14,7 +14,7 @@ from mjhab.config.perturbing import (
     PictureFrame,
     Quantity,
 )
-from mjhab.envs.perturbations.pixels import blurred, from_linear, to_linear
+from mjhab.envs.perturbations.pixels import blur
 from mjhab.robots.robot import Robot
 
 HOLE_PX = 2
@@ -60,8 +60,8 @@ class NoiseAxis(Perturbation):
     ) -> None:
         """Blur "rgb"; holes and steps in "depth", the same holes in "target_depth"."""
         if "rgb" in images:
-            rgb = images["rgb"]
-            rgb[:] = from_linear(blurred(to_linear(rgb), drawn.amounts["blur"]))
+            for rgb in images["rgb"]:
+                blur(rgb, drawn.amounts["blur"])
         holes: np.ndarray | None = None
         for name in ("depth", "target_depth"):
             if name in images:

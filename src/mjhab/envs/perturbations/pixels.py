@@ -1,8 +1,9 @@
-"""Pixels of images: linear light of sRGB bytes and back, surfaces in depth images, blur."""
+"""Light of colour images: bytes and what they show, and changes of it; all in place, compiled at their first use."""
 
 from __future__ import annotations
 
 from functools import cache
+from typing import NamedTuple
 
 import numpy as np
 
@@ -12,9 +13,23 @@ _KNEE = 0.6
 """Linear light above which pictures are compressed, see `shading.tone_curve`."""
 
 
+class Tones(NamedTuple):
+    """Bytes of colour images and the light of the scene that they show, without the compression of highlights.
+
+    Attributes:
+        light_of: (256,) float32.
+        bytes_of: (n,) uint8 by light.
+        scale: entries of ``bytes_of`` per unit of light.
+    """
+
+    light_of: np.ndarray
+    bytes_of: np.ndarray
+    scale: np.float32
+
+
 @cache
-def _tables() -> tuple[np.ndarray, np.ndarray, float]:
-    """Light of the scene (256,) float32 of each byte, bytes by light, and entries of these per unit of light."""
+def tones() -> Tones:
+    """The one of all pictures."""
     from mjhab.render.raster.shading import TONE_RANGE, tone_curve  # loads numba
 
     bytes_of = tone_curve()
@@ -22,57 +37,51 @@ def _tables() -> tuple[np.ndarray, np.ndarray, float]:
     over = np.minimum((shown - _KNEE) / (1.0 - _KNEE), 1.0 - 1e-9)
     bright = _KNEE - (1.0 - _KNEE) * np.log1p(-np.maximum(over, 0.0))
     light = np.minimum(np.where(over > 0.0, bright, shown), TONE_RANGE)
-    return light.astype(np.float32), bytes_of, (len(bytes_of) - 1) / TONE_RANGE
+    scale = np.float32((len(bytes_of) - 1) / TONE_RANGE)
+    return Tones(light.astype(np.float32), bytes_of, scale)
 
 
-def to_linear(rgb: np.ndarray) -> np.ndarray:
-    """Light (...) float32 that the bytes (...) uint8 of a colour image show, without the compression of highlights."""
-    return _tables()[0][rgb]
-
-
-def from_linear(light: np.ndarray) -> np.ndarray:
-    """Bytes (...) uint8 of a colour image that shows light (...) float32 from 0, highlights compressed."""
-    _, bytes_of, scale = _tables()
-    entry = np.minimum(light * np.float32(scale), np.float32(len(bytes_of) - 1))
-    return bytes_of[(entry + np.float32(0.5)).astype(np.int32)]
-
-
-def normals(depth: np.ndarray, focal: float, toward: np.ndarray) -> np.ndarray:
-    """Cosine (h, w) float32 between a direction and the surfaces of a depth image; 0 where nothing is hit.
+def relight(
+    rgb: np.ndarray,
+    depth: np.ndarray,
+    focal: float,
+    toward: np.ndarray,
+    side: float,
+    gain: np.ndarray,
+) -> None:
+    """Change the light of an image (h, w, 3) uint8.
 
     Args:
-        depth: (h, w) float32 planar distances [m].
+        rgb: the image.
+        depth: (h, w) float32 planar distances [m], 0 where nothing is hit.
         focal: focal length [px].
-        toward: (3,) float32 unit vector in the axes of the camera (x right, y up, z backwards).
+        toward: (3,) unit vector to the light in the axes of the camera (x right, y up, z backwards).
+        side: share of the light that comes from there, 0 to 1.
+        gain: (3,) factors of red, green and blue.
     """
-    height, width = depth.shape
-    x = (np.arange(width, dtype=np.float32) + 0.5 - 0.5 * width) / np.float32(focal)
-    y = (0.5 * height - np.arange(height, dtype=np.float32) - 0.5) / np.float32(focal)
-    points = np.stack([depth * x, depth * y[:, None], -depth], axis=-1)
-    along = np.empty_like(points)
-    along[:, 1:-1] = points[:, 2:] - points[:, :-2]
-    along[:, 0], along[:, -1] = along[:, 1], along[:, -2]
-    up = np.empty_like(points)
-    up[1:-1] = points[:-2] - points[2:]
-    up[0], up[-1] = up[1], up[-2]
-    normal = np.cross(along, up)
-    size = np.sqrt(np.square(normal).sum(-1))
-    cosine = (normal @ toward) / np.maximum(size, np.float32(1e-12))
-    return np.where(depth > 0.0, cosine, np.float32(0.0))
+    from mjhab.envs.perturbations import kernels  # loads numba
+
+    numbers = (np.float32(focal), toward.astype(np.float32), np.float32(side))
+    kernels.relight(rgb, depth, *numbers, gain.astype(np.float32), *tones())
 
 
-def blurred(images: np.ndarray, sigma: float) -> np.ndarray:
-    """Images (C, h, w, channels) float32 through a lens that is out of focus; ``sigma`` of the Gauss bell [px]."""
+def recolour(rgb: np.ndarray, seg: np.ndarray, mixes: np.ndarray) -> None:
+    """Mix the linear light of an image (h, w, 3) uint8 by segments.
+
+    Args:
+        rgb: the image.
+        seg: (h, w) int32 segments.
+        mixes: (n, 3, 3) float32, matrix of segment i modulo n.
+    """
+    from mjhab.envs.perturbations import kernels  # loads numba
+
+    kernels.recolour(rgb, seg, mixes, *tones())
+
+
+def blur(rgb: np.ndarray, sigma: float) -> None:
+    """Blur an image (h, w, 3) uint8 as a lens does that is out of focus; ``sigma`` of the Gauss bell [px]."""
+    from mjhab.envs.perturbations import kernels  # loads numba
+
     radius = max(1, int(np.ceil(2.5 * sigma)))
     weights = np.exp(-0.5 * np.square(np.arange(-radius, radius + 1) / sigma))
-    weights = (weights / weights.sum()).astype(np.float32)
-    for axis in (1, 2):
-        length = images.shape[axis]
-        edges = [(radius, radius) if k == axis else (0, 0) for k in range(images.ndim)]
-        padded = np.pad(images, edges, mode="edge")
-        images = np.zeros_like(images)
-        for k, weight in enumerate(weights):
-            part = [slice(None)] * images.ndim
-            part[axis] = slice(k, k + length)
-            images += weight * padded[tuple(part)]
-    return images
+    kernels.blur(rgb, (weights / weights.sum()).astype(np.float32), *tones())

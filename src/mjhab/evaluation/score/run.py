@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from mjhab.config.profiles import DEFAULT_PROFILE, profile_named
-from mjhab.core.errors import UsageError
+from mjhab.core.errors import UsageError, unknown_name
 from mjhab.core.machine import cores, processor
 from mjhab.data.record.provenance import source_commit, versions
 from mjhab.evaluation.evaluate import EvalSpec, describe_policy, run_evaluation
@@ -72,7 +72,7 @@ def score(
     seconds = 0.0
     episodes: list[ScoredEpisode] = []
     policies: dict[str, Any] = {}
-    for row in asked.rows:
+    for row in rows_of(asked, spec.rows):
         facts = facts_for(spec.policy, row, asked.profile)
         if facts is None:
             continue
@@ -102,6 +102,19 @@ def score(
     result = write_result(spec.folder / RESULT_FILE, facts, episodes)
     write_summary(spec.folder / SUMMARY_FILE, result)
     return result
+
+
+def rows_of(asked: Manifest, names: Sequence[str]) -> list[ScoreRow]:
+    """Rows of a manifest in its order, those that are named; () for all.
+
+    Raises:
+        UsageError: there is no such row.
+    """
+    known = [row.name for row in asked.rows]
+    for name in names:
+        if name not in known:
+            raise unknown_name("row", name, known)
+    return [row for row in asked.rows if not names or row.name in names]
 
 
 def folder_name(asked: Manifest, row: ScoreRow, seed: int) -> str:

@@ -73,6 +73,8 @@ class ScoreSpec(TrackSpec):
     """Folder of the runs and of result.json; existing runs are continued."""
     episodes: Annotated[int | None, Flag(shown="default: all"), Bound(1)] = None
     """At most N episodes per row and seed, for a quick estimate; the score is marked as incomplete."""
+    rows: Annotated[tuple[str, ...], Flag(metavar="NAME ...", shown="default: all")] = ()
+    """Only these rows of the track, such as set_table.pick; the score is marked as incomplete."""
     perturb: Annotated[
         str | Mapping[str, int], Flag(metavar="AXIS:LEVEL,...", kind=str)
     ] = ""

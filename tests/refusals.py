@@ -8,7 +8,9 @@ from typing import Any
 
 import pytest
 
+from mjhab.cli.main import parse, run
 from mjhab.core.errors import UsageError
+from mjhab.data.select.query import FilterError
 
 _ANY: Any = object()
 
@@ -19,6 +21,7 @@ def refused(
     given: Any = _ANY,
     expected: str = "",
     where: object = "",
+    advice: str = "",
     said: str = "",
 ) -> Iterator[pytest.ExceptionInfo[UsageError]]:
     """The block raises a UsageError of one line about an option or field.
@@ -28,13 +31,15 @@ def refused(
         given: what it was given.
         expected: one of the valid names, or a part of the phrase that tells what would fit.
         where: a part of the name of the file or object that has the field.
-        said: what a message without fields says, such as the next move.
+        advice: a part of what the error says to do.
+        said: what a message says that has no field for it, such as what is wrong with a file.
     """
     with pytest.raises(UsageError) as caught:
         yield caught
     error = caught.value
     text = str(error)
-    assert "\n" not in text and len(text) < 4000
+    # An error of a filter shows the column in a line of its own.
+    assert ("\n" not in text or isinstance(error, FilterError)) and len(text) < 4000
     assert error.option in text and error.where in text
     if option:
         rest = error.option.removeprefix(option)
@@ -43,4 +48,10 @@ def refused(
         assert error.given == given, text
     assert not expected or expected in error.expected, (error.expected, text)
     assert str(where) in error.where, (error.where, text)
+    assert advice in error.advice, (error.advice, text)
     assert said in text, text
+
+
+def command(*args: object) -> int:
+    """Run a command line in this process; errors are raised, which `mjhab.cli.main.main` tells in one line."""
+    return run(parse(list(map(str, args))))

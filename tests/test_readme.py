@@ -14,10 +14,10 @@ import pytest
 
 import mjhab
 from mjhab.cli.main import parse
-from mjhab.core.errors import UsageError
 from mjhab.evaluation.resolve import inspect_policy
 from mjhab.rollout.loop import rollout
 from mjhab.rollout.policy import ZeroPolicy
+from tests.refusals import refused
 
 ROOT = Path(__file__).parents[1]
 SMALL = {"episodes": 2, "worlds": 2, "films": 1, "horizon": 4}
@@ -119,6 +119,6 @@ def keys_of_table(text: str, section: str) -> set[str]:
 
 def test_the_default_environment_is_refused_by_the_loop() -> None:
     env = mjhab.make(subtask="pick", horizon=2)
-    with pytest.raises(UsageError, match=r"autoreset='same_step'.*mjhab\.evaluate"):
+    with refused("autoreset", "same_step", advice="mjhab.evaluate"):
         rollout(env, ZeroPolicy(), [0], seed=0)
     env.close()

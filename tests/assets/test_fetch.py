@@ -19,7 +19,6 @@ from huggingface_hub import close_session
 from mjhab.assets.hub import TIMEOUT_S, TRIES, RemoteFile, TransferError
 from mjhab.assets.install import RECORD, fetch, read_record, verify
 from mjhab.assets.sources import SOURCES, hub_endpoint, source_named
-from mjhab.core.errors import UsageError
 from mjhab.core.files.locking import WriteLock
 from tests.assets.hub_server import COMMIT, FakeHub
 from tests.refusals import refused
@@ -181,7 +180,7 @@ def test_a_missing_repository_is_not_tried_again(
 
 
 def test_no_repository_can_have_that_name(hub: FakeHub, tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match="--repo 'a/b/c'"):
+    with refused("repo", "a/b/c"):
         fetch(replace(SOURCE, repo="a/b/c"), tmp_path)
 
 
@@ -262,12 +261,9 @@ def test_a_file_is_held_to_what_the_hub_lists(tmp_path: Path, sign: str) -> None
 
 def test_a_repository_with_other_files_is_refused(hub: FakeHub, tmp_path: Path) -> None:
     hub.files = {"README.md": b"moved"}
-    with pytest.raises(
-        UsageError,
-        match=r"is not the data set replica_cad: it must hold configs/scenes/\*",
-    ):
+    with refused(where="ReplicaCAD", said="must hold configs/scenes/*"):
         fetch(SOURCE, tmp_path)
-    with pytest.raises(UsageError, match=r"none that ycb is made of.*--repo.*--offline"):
+    with refused(where="ReplicaCAD_dataset", said="none that ycb is made of"):
         fetch(
             replace(SOURCES["ycb"], repo=SOURCE.repo),
             tmp_path,
@@ -277,7 +273,7 @@ def test_a_repository_with_other_files_is_refused(hub: FakeHub, tmp_path: Path) 
 
 def test_a_repository_cannot_write_outside(hub: FakeHub, tmp_path: Path) -> None:
     hub.files["../outside.txt"] = b"x"
-    with pytest.raises(UsageError, match="leads out of the folder"):
+    with refused(where="ReplicaCAD_dataset", said="leads out of the folder"):
         fetch(SOURCE, tmp_path / "root")
     assert not (tmp_path / "outside.txt").exists()
 
@@ -322,7 +318,7 @@ def test_an_installed_data_set_is_replaced_only_on_request(
 ) -> None:
     fetch(SOURCE, tmp_path)
     hub.files["LICENSE.txt"] = b"new terms"
-    with pytest.raises(UsageError, match=r"exists; .*--overwrite replaces it"):
+    with refused(where="replica_cad", said="--overwrite replaces it"):
         fetch(SOURCE, tmp_path)
     assert installed(tmp_path)["LICENSE.txt"] == b"terms"
     fetch(SOURCE, tmp_path, overwrite=True)
@@ -352,7 +348,9 @@ def test_no_room_is_found_out_before_the_download(
     monkeypatch.setattr(
         "shutil.disk_usage", lambda path: type("Usage", (), {"free": 1000})
     )
-    with pytest.raises(UsageError, match=r"GB more, but only 0\.0 GB are free"):
+    with refused(
+        where="replica_cad-0123456789ab", said="GB more, but only 0.0 GB are free"
+    ):
         fetch(SOURCE, tmp_path)
     assert hub.asked == []
 
@@ -369,7 +367,7 @@ def test_proxies_are_used(
 
 def test_the_endpoint_must_be_an_address(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("HF_ENDPOINT", "file:///etc")
-    with pytest.raises(UsageError, match="HF_ENDPOINT must be an address"):
+    with refused("HF_ENDPOINT", "file:///etc"):
         hub_endpoint()
     monkeypatch.delenv("HF_ENDPOINT")
     assert hub_endpoint() == "https://huggingface.co"
@@ -396,7 +394,7 @@ def test_two_processes_do_not_install_the_same_data_set_at_once(
     (tmp_path / ".partial").mkdir()
     with (
         WriteLock(tmp_path / ".partial" / SOURCE.name),
-        pytest.raises(UsageError, match="is being written by"),
+        refused(said="is being written by"),
     ):
         fetch(SOURCE, tmp_path)
     assert hub.asked == []

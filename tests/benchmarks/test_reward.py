@@ -62,4 +62,4 @@ def test_a_file_in_place_of_the_folder_is_told_before_the_work(
     file.touch()
     monkeypatch.setattr(reward, "measure_rewards", lambda spec: pytest.fail("it began"))
     assert reward.main(["--out", str(file)]) == 2
-    assert f"--out {file} is a file; give a folder" in capsys.readouterr().err
+    assert f"--out must be a folder, not a file, got '{file}'" in capsys.readouterr().err

@@ -23,14 +23,14 @@ def test_bench_soak_counts_steps_and_episodes(
         capsys,
         "--out",
         str(tmp_path),
-        *"--steps 2050 --worlds 2 --threads 1 --task tidy_house".split(),
+        *"--steps 1240 --worlds 2 --threads 1 --task tidy_house".split(),
     )
-    assert found["steps"] == 2052 and len(found["rss_mb"]) == 4
+    assert found["steps"] == 1242 and len(found["rss_mb"]) == 4
     assert code == (0 if found["ok"] else 1)
     assert 0 < sum(found["cache_mb"].values()) <= found["cache_limit_mb"]
     assert json.loads((tmp_path / "soak.json").read_text()) == found
     assert "<polyline" in (tmp_path / "memory.svg").read_text()
-    # 342 steps of each of pick, place and navigate; the first two end after 200.
+    # 207 steps of each of pick, place and navigate; the first two end after 200.
     assert found["episodes"] == 4 and set(found["tainted"]) >= {"nan", "penetration"}
 
 
@@ -66,7 +66,7 @@ def test_a_file_in_place_of_the_folder_is_told_before_the_work(
     file.touch()
     monkeypatch.setattr(soak, "soak", lambda spec: pytest.fail("it began"))
     assert soak.main(["--out", str(file)]) == 2
-    assert f"--out {file} is a file; give a folder" in capsys.readouterr().err
+    assert f"--out must be a folder, not a file, got '{file}'" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("option", ["steps", "worlds", "seed", "generate"])

@@ -15,6 +15,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.bits.bits_of import hashed, results
+
 ROOT = Path(__file__).parents[2]
 SCRIPT = Path(__file__).with_name("bits_of.py")
 VARIABLE = "MJHAB_OTHER_PYTHON"
@@ -63,8 +65,11 @@ def bits(interpreter: str, **variables: str) -> dict[str, str]:
 
 @pytest.fixture(scope="module")
 def here() -> dict[str, str]:
-    """With the homes and starts that earlier runs left in the cache; the others begin with an empty one."""
-    return bits(sys.executable)
+    """With the homes and starts that earlier runs left in the cache; the others begin with an empty one.
+
+    In this process, with its order of hashes and its threads.
+    """
+    return {name: hashed(array) for name, array in results()}
 
 
 def test_the_order_of_hashes_and_the_threads_of_blas_change_no_bit(

@@ -13,7 +13,6 @@ import mjhab
 import mjhab.envs as envs
 from mjhab.config.env import EnvConfig, TrainConfig, task_config
 from mjhab.config.profiles import MJHAB, MS_HAB, PROFILES
-from mjhab.core.errors import UsageError
 from mjhab.data.record.provenance import describe_run
 from mjhab.envs.wrappers import FrameStack
 from mjhab.evaluation.recorded import recorded_env
@@ -22,6 +21,7 @@ from mjhab.learning.observation.spec import profile_of
 from mjhab.robots.fetch.robot import ROBOT
 from mjhab.tasks.subtasks.registry import force_limits, limits_of, number_of
 from mjhab.tasks.subtasks.registry import horizons as horizons_of
+from tests.refusals import refused
 
 PICK: dict[str, Any] = {"task": "tidy_house", "subtask": "pick"}
 PUBLISHED = {
@@ -114,9 +114,8 @@ def test_an_option_that_contradicts_the_profile_is_refused_with_both_names(
         next(iter(value.items())) if isinstance(value, dict) else (name, value)
     )
     for build in (EnvConfig, TrainConfig):
-        with pytest.raises(UsageError, match="'ms_hab'") as error:
+        with refused(given, contradicted, where="ms_hab"):
             build(profile="ms_hab", **PICK, **wanted)
-        assert f"{given}={contradicted!r}" in str(error.value)
         build(**PICK, **wanted)
 
 
@@ -164,19 +163,19 @@ def test_what_agrees_or_is_not_fixed_may_be_given() -> None:
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        ({"profile": "mshab"}, "Did you mean 'ms_hab'.*mjhab, ms_hab"),
-        ({"stillness": "absolut"}, "Did you mean 'absolute'"),
-        ({"spawn_rule": "frontbox"}, "front_box, published"),
-        ({"reward_formula": "unbounded"}, "bounded, published"),
-        ({"joint_dynamics": "0.01"}, "ours, published"),
-        ({"reward_normaliser": "28"}, "attainable, published"),
-        ({"starts": "published"}, "spawn_rule: front_box, published"),
-        ({"frame_stack": 0}, "at least 1"),
-        ({"overrides": {"stillness": "published"}}, "option of its own"),
+        ({"profile": "mshab"}, "profile"),
+        ({"stillness": "absolut"}, "stillness"),
+        ({"spawn_rule": "frontbox"}, "spawn rule"),
+        ({"reward_formula": "unbounded"}, "reward formula"),
+        ({"joint_dynamics": "0.01"}, "joint dynamics"),
+        ({"reward_normaliser": "28"}, "reward normaliser"),
+        ({"starts": "published"}, "starts"),
+        ({"frame_stack": 0}, "frame_stack"),
+        ({"overrides": {"stillness": "published"}}, "overrides"),
     ],
 )
 def test_unknown_values_list_the_valid_ones(options: dict[str, Any], words: str) -> None:
-    with pytest.raises(UsageError, match=words):
+    with refused(words):
         task_config(EnvConfig(**options), ROBOT)
 
 
@@ -213,7 +212,7 @@ def test_a_head_that_is_stationary_stays_and_the_expert_does_without_it() -> Non
     np.testing.assert_allclose(env.state.robot_q[0, [4, 6]], before, atol=5e-3)
     assert make_expert(env) is not None
     still = envs.make_train(**PICK, stationary=("torso",), num_envs=1, threads=1)
-    with pytest.raises(UsageError, match="nothing stationary but the head"):
+    with refused(said="nothing stationary but the head"):
         make_expert(still)
 
 
@@ -241,7 +240,7 @@ def test_frames_are_those_of_the_profile() -> None:
     options = {**PICK, "num_envs": 1, "threads": 1, "obs_mode": "depth", "camera_size": 8}
     env = envs.make_train(**options, profile="ms_hab")
     assert FrameStack(env).num_stack == FrameStack(env, 3).num_stack == 3
-    with pytest.raises(UsageError, match=r"frame_stack 3.*num_stack=2.*frame_stack=2"):
+    with refused(where="FrameStack", said="frame_stack=2"):
         FrameStack(env, 2)
     free = envs.make_train(**options)
     assert FrameStack(free, 2).num_stack == 2 and FrameStack(free).num_stack == 1

@@ -15,7 +15,6 @@ import torch
 
 from mjhab.core.arrays import map_record
 from mjhab.core.conventions.names import PUBLISHED, Conventions
-from mjhab.core.errors import UsageError
 from mjhab.core.rotations import pose_inv, pose_mul
 from mjhab.envs import make, make_train
 from mjhab.envs.parts.reporting import CHECKERS
@@ -211,9 +210,9 @@ def test_profiles_are_the_same_on_the_device() -> None:
         _, ours, *_ = dev.step(torch.as_tensor(actions))
         np.testing.assert_allclose(ours.numpy(), reward, atol=2e-2)
     assert dev.signals.is_grasped.all()
-    with pytest.raises(UsageError, match="'ms_hab' has stillness"):
+    with refused("stillness", "absolute"):
         make(**options, **DEVICE, stillness="absolute")
-    with pytest.raises(UsageError, match="works on numpy arrays"):
+    with refused(where="FrameStack", said="works on numpy arrays"):
         FrameStack(dev)
 
 
@@ -420,13 +419,11 @@ def test_overflow_and_bad_actions_raise_in_evaluation(env: Any) -> None:
         and int(env.tainted) > tainted
     )
     rows = env.sim.engine.sizes.rows
-    with pytest.raises(
-        UsageError, match=rf"rows={rows}\).*buffers=\{{'rows': {2 * rows}\}}"
-    ):
+    with refused(said=f"set buffers={{'rows': {2 * rows}}}"):
         env.check_taint()
     env.sim.engine.overflow_seen.zero_()
     env.step(torch.full((WORLDS, len(env.action_table)), torch.inf))
-    with pytest.raises(UsageError, match="finite; 2 actions"):
+    with refused("actions", "2 others"):
         env.check_taint()
     env.bad_actions = env.bad_actions * 0
 
@@ -468,19 +465,19 @@ def test_a_step_never_waits_for_the_device(
 
 
 @pytest.mark.parametrize(
-    ("options", "message"),
+    ("options", "option"),
     [
-        ({"reset_mask": [True]}, "reset_mask must be bool"),
-        ({"episode": [0, 4]}, r"2 starts in \[0, 4\).*got \[0, 4\]; option starts"),
-        ({"episode": [0.5, 1.0]}, "2 starts"),
-        ({"episode": "ab"}, "2 starts"),
-        ({"episodes": [0]}, "unknown reset option 'episodes'"),
+        ({"reset_mask": [True]}, "reset_mask"),
+        ({"episode": [0, 4]}, "options['episode']"),
+        ({"episode": [0.5, 1.0]}, "options['episode']"),
+        ({"episode": "ab"}, "options['episode']"),
+        ({"episodes": [0]}, "reset option"),
     ],
 )
 def test_bad_reset_options_are_told(
-    env: Any, options: dict[str, Any], message: str
+    env: Any, options: dict[str, Any], option: str
 ) -> None:
-    with pytest.raises(UsageError, match=message):
+    with refused(option):
         env.reset(options=options)
 
 
@@ -490,36 +487,34 @@ def test_bad_actions_and_seeds_are_told(env: Any) -> None:
         env.step(torch.zeros(2, 3))
     with refused("seed", [1, 2], expected="one number"):
         env.reset(seed=[1, 2])
-    with pytest.raises(UsageError, match="leave out reset_mask"):
+    with refused("reset_mask", [True, False]):
         env.reset(seed=9, options={"reset_mask": torch.tensor([True, False])})
     env.reset(seed=np.int64(env.pool.seed))
 
 
 @pytest.mark.parametrize(
-    ("options", "message"),
+    ("options", "option"),
     [
-        ({"backend": "gpu"}, "unknown backend 'gpu'"),
-        ({"starts": -1}, "starts must be"),
-        ({"device": "cuda:77"}, "cuda:77|no CUDA device"),
-        ({"render_mode": "rgb_array"}, "no human views"),
-        ({"buffers": {"contact": 5}}, "unknown buffer 'contact'"),
-        ({"buffers": {"rows": 0}}, "at least 1"),
+        ({"backend": "gpu"}, "backend"),
+        ({"starts": -1}, "starts"),
+        ({"device": "cuda:77"}, "device"),
+        ({"render_mode": "rgb_array"}, "render_mode"),
+        ({"buffers": {"contact": 5}}, "buffer"),
+        ({"buffers": {"rows": 0}}, "buffer 'rows'"),
     ],
 )
-def test_bad_configurations_are_told(options: dict[str, Any], message: str) -> None:
-    with pytest.raises(UsageError, match=message):
+def test_bad_configurations_are_told(options: dict[str, Any], option: str) -> None:
+    with refused(option):
         make(**{"task": "tidy_house", "subtask": "pick", **DEVICE, **options})
 
 
 def test_a_plain_gymnasium_env_runs_on_the_cpu_backend() -> None:
-    with pytest.raises(UsageError, match=r"plain gymnasium\.Env has backend 'cpu'"):
+    with refused("backend", "warp"):
         gymnasium.make("mjhab/PickSubtaskTrain-v1", backend="warp")
 
 
 def test_wrappers_for_numpy_refuse_tensors(env: Any) -> None:
-    with pytest.raises(
-        UsageError, match=r"FrameStack works on numpy arrays, .*backend='cpu'"
-    ):
+    with refused(where="FrameStack", said="backend='cpu'"):
         FrameStack(env, 2)
 
 

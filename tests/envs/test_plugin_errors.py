@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 import mjhab
-from mjhab.core.errors import UsageError
 from mjhab.episodes.starts.navigate import START
 from mjhab.experts.policy import script_of
 from mjhab.tasks.household.registry import TASKS
@@ -19,6 +18,7 @@ from mjhab.tasks.household.spec import TargetRule, TaskSpec
 from mjhab.tasks.plan import Subtask, Target
 from mjhab.tasks.subtasks.registry import SUBTASKS, number_of
 from mjhab.tasks.subtasks.spec import LabelRule, SubtaskSpec
+from tests.refusals import refused
 
 STARE = SubtaskSpec(
     name="stare",
@@ -88,54 +88,64 @@ def good(view: Any) -> Any:
         yield np.zeros(13, np.float32)
 
 
-FAULTS: dict[str, tuple[dict[str, Any], str]] = {
+FAULTS: dict[str, tuple[dict[str, Any], str, str]] = {
     "expert raises": (
         {"expert": raising},
-        r"expert of subtask 'stare' raised ValueError: no way .*line",
+        "expert of subtask 'stare'",
+        "raised ValueError: no way",
     ),
     "expert is no generator": (
         {"expert": lambda view: 3},
-        "'stare' must be a generator function",
+        "expert of subtask 'stare'",
+        "must be a generator function",
     ),
     "expert leads nowhere": (
         {"expert": "nowhere_at_all:fn"},
-        "subtask 'stare': expert: module 'nowhere_at_all'.* cannot be imported",
+        "subtask 'stare': expert",
+        "'nowhere_at_all:fn'",
     ),
     "expert is no function": (
         {"expert": 3},
-        "subtask 'stare': expert must be a generator function",
+        "subtask 'stare': expert",
+        "must be a generator function",
     ),
     "start is an object": (
         {"start": object()},
-        "'stare': start must be an object of a subclass",
+        "",
+        "start must be an object of a subclass",
     ),
     "start is a class": (
         {"start": type(START)},
-        "'stare': start must be .* got .the class Nav",
+        "",
+        "the class Nav",
     ),
     "start leads nowhere": (
         {"start": "pathlib:Nothing"},
-        "'stare': start: module 'pathlib' has no",
+        "subtask 'stare': start",
+        "'pathlib:Nothing'",
     ),
     "measure of numbers": (
         {"measures": {"at_goal": lambda state, active, config: active.goal_pos[:, 0]}},
-        r"subtask 'stare': the measure of 'at_goal' must give one bool per world, shape \(1,\)",
+        "subtask 'stare'",
+        "must give one bool per world, shape (1,)",
     ),
     "measure of another shape": (
         {"measures": {"at_goal": lambda state, active, config: active.goal_pos > 0}},
-        r"the measure of 'at_goal' must .* got bool of shape \(1, 3\)",
+        "subtask 'stare'",
+        "got bool of shape (1, 3)",
     ),
     "measure of nothing": (
         {"measures": {"at_goal": lambda state, active, config: None}},
-        "the measure of 'at_goal' must .* got NoneType",
+        "subtask 'stare'",
+        "got NoneType",
     ),
 }
 
 
 @pytest.mark.parametrize("fault", FAULTS)
 def test_a_wrong_part_of_a_subtask_is_told_in_one_error(fault: str) -> None:
-    changes, told = FAULTS[fault]
-    with registered(**{"expert": good, **changes}), pytest.raises(UsageError, match=told):
+    changes, where, said = FAULTS[fault]
+    with registered(**{"expert": good, **changes}), refused(where=where, said=said):
         run()
 
 
@@ -147,20 +157,21 @@ TASK_FAULTS: dict[str, tuple[Callable[[], TaskSpec], str, str]] = {
     "object outside of the roster": (
         lambda: with_rule(object="013_apple"),
         "stare",
-        r"task 'staring': targets\[0\]: unknown object '013_apple'.*TaskSpec.objects",
+        "targets[0]: unknown object '013_apple'",
     ),
     "no navigate before": (
         lambda: with_rule(chain=pick_at_once),
         "pick",
-        "task 'staring': subtask 'pick' begins where the navigate before it led to, but no",
+        "subtask 'pick' begins where the navigate before it led to, but no",
     ),
 }
 
 
 @pytest.mark.parametrize("fault", TASK_FAULTS)
 def test_a_wrong_rule_of_a_task_is_told_in_one_error(fault: str) -> None:
-    task, subtask, told = TASK_FAULTS[fault]
-    with registered(task(), expert=good), pytest.raises(UsageError, match=told):
+    task, subtask, said = TASK_FAULTS[fault]
+    told = refused(where="task 'staring'", said=said)
+    with registered(task(), expert=good), told:
         run(subtask=subtask)
 
 

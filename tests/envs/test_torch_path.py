@@ -11,7 +11,6 @@ import torch
 
 import mjhab.envs as envs
 from mjhab.core.arrays import map_record, to_numpy
-from mjhab.core.errors import UsageError
 from mjhab.envs.device.fields import GoalFields
 from mjhab.envs.observations.entry import CameraInputs
 from mjhab.envs.observations.state import state_observation, state_table
@@ -31,6 +30,7 @@ from mjhab.tasks.plan import SubtaskKind
 from mjhab.tasks.scoring import RewardOptions
 from mjhab.tasks.subtasks.registry import name_of
 from tests.no_sync import NoSync
+from tests.refusals import refused
 
 WORLDS = 8
 STEPS = 4
@@ -451,5 +451,5 @@ def test_a_table_of_ways_too_large_for_the_device_is_refused(
 ) -> None:
     env, _ = history
     monkeypatch.setattr("mjhab.envs.device.fields.MAX_BYTES", 1000)
-    with pytest.raises(UsageError, match="fewer starts"):
+    with refused(said="fewer starts"):
         GoalFields([(env.homes[0], (0.0, 0.0))], env.starts.sampler.map, "cpu")

@@ -8,7 +8,6 @@ from pathlib import Path
 
 import pytest
 
-from mjhab.core.errors import UsageError
 from mjhab.episodes.files import (
     Factory,
     Recipe,
@@ -18,6 +17,7 @@ from mjhab.episodes.files import (
     state_hash,
 )
 from mjhab.episodes.hab.format import read_hab
+from tests.refusals import refused
 
 RECIPE = Recipe("tidy_house", "val", 5, "builtin", 0, 6)
 
@@ -98,13 +98,11 @@ def test_an_interrupted_run_goes_on(
 
 
 def test_nothing_is_replaced_unasked(whole: Path, tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match="exists; add --overwrite"):
+    with refused(where=whole, said="exists; add --overwrite"):
         make_file(RECIPE, whole, 1, silent)
     out = tmp_path / "x.json"
     partial_path(out).write_text('{"format": "mjhab-episodes-1", "task": "set_table"}\n')
-    with pytest.raises(
-        UsageError, match=r"x\.json\.partial was left by a run with other options"
-    ):
+    with refused(where="x.json.partial", said="was left by a run with other options"):
         make_file(replace(RECIPE, count=1), out, 1, silent)
     make_file(replace(RECIPE, count=1), out, 1, silent, overwrite=True)
     assert len(read_hab(out).episodes) == 1

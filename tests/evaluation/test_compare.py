@@ -16,6 +16,7 @@ from mjhab.evaluation.compare import names_of
 from mjhab.rollout.loop import rollout
 from mjhab.rollout.policy import RandomPolicy
 from mjhab.rollout.store import EvaluationFolder
+from tests.refusals import refused
 from tests.rollout.fake_env import FakeEnv
 
 CONFIG: dict[str, Any] = {
@@ -155,7 +156,7 @@ def test_bad_folders(tmp_path: Path) -> None:
     ):
         with pytest.raises(UsageError, match=words):
             mjhab.compare(*folders, out=tmp_path / "p.html")
-    with pytest.raises(UsageError, match=r"must end with \.html"):
+    with refused("--out", str(tmp_path / "p.txt"), expected=".html"):
         mjhab.compare(a, other, out=tmp_path / "p.txt")
 
 

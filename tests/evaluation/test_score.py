@@ -41,6 +41,7 @@ from mjhab.evaluation.score.spec import ScoreSpec
 from mjhab.evaluation.score.summary import ScoredEpisode, summary_of
 from mjhab.rollout.records import SubtaskRecord
 from mjhab.rollout.store import read_records
+from tests.refusals import command, refused
 
 ALL_TRACKS = dict(manifests.TRACKS)
 ROWS = (
@@ -137,7 +138,7 @@ def test_facts_that_cannot_be_read_are_refused(
     result: tuple[Path, ScoreResult], tmp_path: Path, name: str, value: Any
 ) -> None:
     _, scored = result
-    with pytest.raises(UsageError, match=f"edited: facts.{name}"):
+    with refused(where="facts.json", said=f"edited: facts.{name}"):
         write_result(
             tmp_path / "facts.json", {**scored.facts, name: value}, scored.episodes
         )
@@ -257,11 +258,11 @@ def test_numbers_that_are_not_those_of_the_episodes_are_refused(
     content["digest"] = digest_of(content)
     edited = tmp_path / "sealed.json"
     edited.write_text(json.dumps(content))
-    with pytest.raises(UsageError, match="its numbers do not follow from its episodes"):
+    with refused(where="sealed.json", said="its numbers do not follow from its episodes"):
         read_result(edited)
     for text in ("", "[]", "{}", "[" * 100_000):
         edited.write_text(text)
-        with pytest.raises(UsageError, match="not a result file"):
+        with refused(where="sealed.json", said="not a result file"):
             read_result(edited)
 
 
@@ -337,11 +338,11 @@ def test_scores_of_another_robot_are_of_another_manifest() -> None:
 
 def test_other_rules_are_refused() -> None:
     check_rules(PolicyFacts("fine", env_options={"obs_mode": "rgb", "profile": "mjhab"}))
-    with pytest.raises(UsageError, match="scores use the rules of the profile mjhab"):
+    with refused("env_options", {"force_limits": False}, advice="profile mjhab"):
         check_rules(PolicyFacts("sly", env_options={"force_limits": False}))
-    with pytest.raises(UsageError, match="unknown track"):
+    with refused("track", "subtask"):
         manifest("subtask", "test")
-    with pytest.raises(UsageError, match="unknown split"):
+    with refused("split", "tset"):
         manifest("subtasks", "tset")
 
 
@@ -439,15 +440,14 @@ def test_options_of_another_command_are_refused(
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["check", "FOLDER"], "is a folder; give the result.json in it"),
-        (["table", "RESULT", "SUMMARY"], "are the same result; give one of them"),
+        (["check", "FOLDER"], "a folder; give the result.json in it"),
+        (["table", "RESULT", "SUMMARY"], "the same result as"),
     ],
 )
 def test_a_folder_and_a_result_given_twice_are_refused(
     words: list[str],
     message: str,
     result: tuple[Path, ScoreResult],
-    capsys: pytest.CaptureFixture[str],
 ) -> None:
     file = result[0]
     places = {
@@ -455,8 +455,8 @@ def test_a_folder_and_a_result_given_twice_are_refused(
         "FOLDER": file.parent,
         "SUMMARY": file.with_name("summary.json"),
     }
-    assert main(["score", *(str(places.get(word, word)) for word in words)]) == 2
-    assert message in capsys.readouterr().err
+    with refused(where=file.parent, said=message):
+        command("score", *(places.get(word, word) for word in words))
 
 
 def test_a_summary_makes_the_same_table_and_cannot_be_checked(
@@ -466,7 +466,9 @@ def test_a_summary_makes_the_same_table_and_cannot_be_checked(
     assert leaderboard([read_for_table(summary)]) == leaderboard(
         [read_for_table(result[0])]
     )
-    with pytest.raises(UsageError, match=r"no episodes to verify; give the result\.json"):
+    with refused(
+        where="summary.json", said="no episodes to verify; give the result.json"
+    ):
         read_result(summary)
 
 
@@ -474,7 +476,7 @@ def test_a_summary_makes_the_same_table_and_cannot_be_checked(
     ("place", "value", "message"),
     [
         (("version",), 9, "not a summary of version"),
-        (("facts",), 3, "is damaged"),
+        (("facts",), 3, "damaged"),
         (("facts", "manifest"), "older", "cannot be compared"),
         (("facts", "versions"), None, "facts.versions"),
         (("summary", "score"), "high", "its summary is not that of a score"),
@@ -498,5 +500,5 @@ def test_a_broken_summary_is_refused(
     part[last] = value
     broken = tmp_path / "summary.json"
     broken.write_text(json.dumps(content))
-    with pytest.raises(UsageError, match=message):
+    with refused(where="summary.json", said=message):
         read_for_table(broken)

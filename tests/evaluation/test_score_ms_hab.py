@@ -13,7 +13,6 @@ import pytest
 
 import mjhab
 from mjhab.cli.main import main
-from mjhab.core.errors import UsageError
 from mjhab.evaluation.resolve import PolicyFacts, resolve_policy
 from mjhab.evaluation.score import manifest as manifests
 from mjhab.evaluation.score.actions import StartKeeper
@@ -149,7 +148,7 @@ def test_a_check_replays_both_rules(result: ScoreResult, tmp_path: Path) -> None
     other = write_result(tmp_path / "forged.json", result.facts, [forged, second])
     assert list(check(other).wrong) == [f"{ROW.name} 0 of seed {SEEDS[0]}"]
     for lacking in (None, 1):
-        with pytest.raises(UsageError, match="is not in the manifest"):
+        with refused(where="lacking.json", said="is not in the manifest"):
             bad = dataclasses.replace(first, continuing=lacking)  # type: ignore[arg-type]
             write_result(tmp_path / "lacking.json", result.facts, [bad, second])
 
@@ -169,12 +168,12 @@ def test_scores_of_other_homes_are_told_apart(
     with refused("assets", "builtin", expected="replica_cad (stage: stand-in)"):
         check(elsewhere)
     # A stage that was edited has another manifest.
-    with pytest.raises(UsageError, match="cannot be compared"):
+    with refused(where="result.json", said="cannot be compared"):
         write_result(path, {**facts, "homes": {**homes, "stage": "own"}}, ())
     content = json.loads(path.read_text())
     content["facts"]["homes"] = {"pack": 3}
     path.write_text(json.dumps({**content, "digest": digest_of(content)}))
-    with pytest.raises(UsageError, match=r"is damaged: .*facts\.homes must be texts"):
+    with refused(where="result.json", said="facts.homes must be texts"):
         read_result(path)
     page = leaderboard([result, elsewhere])
     assert "## Track: ms_hab_7\n" in page

@@ -20,7 +20,7 @@ import re
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -95,19 +95,28 @@ def report_differences(before: dict[str, str], after: dict[str, str]) -> int:
     return 1 if different else 0
 
 
-def fingerprints(small: bool, data: str = "") -> dict[str, str]:
-    """SHA-256 by name of everything the guard looks at."""
+def fingerprints(
+    small: bool, data: str = "", run: Callable[..., object] | None = None
+) -> dict[str, str]:
+    """SHA-256 by name of everything the guard looks at.
+
+    Args:
+        small: look at little.
+        data: folder of a ReplicaCAD pack; "" for none.
+        run: runs a command; `run_command` if None.
+    """
+    run = run or run_command
     found: dict[str, str] = {}
     with tempfile.TemporaryDirectory() as folder:
         for name, options in episode_sets(small, data):
             out = Path(folder) / name.replace("/", "-")
-            run_command("generate", *options, "--out", str(out))
+            run("generate", *options, "--out", str(out))
             found.update(
                 (f"{name}/{key}", value) for key, value in shard_fingerprints(out)
             )
         first = Path(folder) / "set_table-pick"
         exported = Path(folder) / "maniskill"
-        run_command("export", "maniskill", str(first), "--out", str(exported))
+        run("export", "maniskill", str(first), "--out", str(exported))
         found.update(
             (f"export/{key}", value) for key, value in shard_fingerprints(exported)
         )

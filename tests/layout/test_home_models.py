@@ -4,9 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import pytest
-
-from mjhab.core.errors import UsageError
 from mjhab.layout.compile import compile_home
 from mjhab.layout.home_models import HomeModels
 from mjhab.layout.layout import Layout
@@ -14,6 +11,7 @@ from mjhab.robots.fetch.robot import ROBOT
 from mjhab.robots.parts import Drives
 from mjhab.scenes.packs import open_pack
 from mjhab.scenes.spec import Geom
+from tests.refusals import refused
 
 
 def test_robots_with_other_stiff_servos_have_models_of_their_own():
@@ -37,5 +35,5 @@ def test_a_home_that_mujoco_refuses_is_named() -> None:
     home = pack.homes[0]
     flat = replace(home, walls=(Geom("box", (0.0, 1.0, 1.0)), *home.walls))
     layout = Layout(replace(pack, homes=(flat,)), ())
-    with pytest.raises(UsageError, match=f"home '{home.name}' does not compile"):
+    with refused(where=f"home '{home.name}'", said="does not compile"):
         compile_home(layout, flat)

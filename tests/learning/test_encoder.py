@@ -36,6 +36,7 @@ from mjhab.learning.runs.intervention import Intervention
 from mjhab.learning.shipped_kind import shipped
 from mjhab.rollout.loop import rollout
 from mjhab.rollout.policy import Policy, RandomPolicy
+from tests.refusals import refused
 
 SIZE = 16
 STEPS = 9
@@ -233,7 +234,7 @@ def test_a_shard_without_views_of_the_target_says_how_to_get_them(
 
 
 def test_cameras_without_any_view_are_refused() -> None:
-    with pytest.raises(UsageError, match=r"neither .*whole_views nor"):
+    with refused("inputs.cameras", advice="switch one of these on"):
         InputConfig(whole_views=False)
     assert InputConfig(cameras=(), image_size=0, whole_views=False).image_size == 0
 

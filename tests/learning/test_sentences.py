@@ -52,6 +52,7 @@ from tests.learning.small import (
     train_config,
     train_in,
 )
+from tests.refusals import refused
 
 TOLD = dataclasses.replace(
     INPUTS, cameras=(), image_size=0, condition=False, sentence=True
@@ -316,7 +317,7 @@ def test_a_checkpoint_may_be_told_another_sentence(tmp_path: Path) -> None:
     asked = act(["open it", "push it"], "shut it")
     np.testing.assert_array_equal(asked, act(["shut it", "shut it"]))
     assert (asked != act(["open it", "push it"])).any()
-    with pytest.raises(UsageError, match=r"deaf\.safetensors takes no instruction"):
+    with refused(where="deaf.safetensors", said="takes no instruction"):
         resolve_policy(files["deaf"], env, PolicyOptions(instruction="shut it"))
 
 

@@ -20,6 +20,7 @@ from mjhab.learning.policy import StudentEnsemble
 from mjhab.learning.policy_kind import members
 from mjhab.learning.students.heads import make_student
 from tests.learning.small import config, fake_env, layout
+from tests.refusals import refused
 
 LARGEST_BYTES = 5_000_000
 CLOSE: dict[str, Any] = {
@@ -54,9 +55,7 @@ def test_a_student_is_chosen_by_what_is_to_be_done() -> None:
 @pytest.mark.usefixtures("shelf")
 def test_another_robot_than_that_of_the_training_is_refused_first() -> None:
     spec = EvalSpec.of("learned", **CLOSE, env={"robot": "panda_omron"})
-    with pytest.raises(
-        UsageError, match=r"trained with robot 'fetch'; leave out --robot"
-    ):
+    with refused("robot", "panda_omron", expected="fetch", advice="Leave out --robot"):
         resolved_config(spec, describe_policy(spec.policy))
 
 

@@ -25,6 +25,7 @@ from mjhab.paper.ms_hab.checkpoint import LAYOUTS, load_network
 from mjhab.paper.ms_hab.policy import ENV_OPTIONS, MsHabPolicy, ms_hab_policy
 from mjhab.rollout.loop import rollout
 from tests.paper import ms_hab_checkpoints as original
+from tests.refusals import refused
 
 WORLDS = 2
 SEED = 7
@@ -341,9 +342,7 @@ def test_files_that_are_no_checkpoints(
     refuse(path, "cannot be read as a checkpoint of torch")
     path.unlink()
     refuse(path, "does not exist")
-    with pytest.raises(
-        UsageError, match=r"'ms_hab:' names no file; .* as in ms_hab:CHECKPOINT.pt"
-    ):
+    with refused("policy", "ms_hab:", expected="as in ms_hab:CHECKPOINT.pt"):
         inspect_policy("ms_hab:")
 
 
@@ -374,9 +373,10 @@ def test_environments_and_observations_that_do_not_fit(tmp_path: Path) -> None:
         **obs,
         "sensor_data/fetch_head/depth": np.zeros((WORLDS, 64, 64, 1), np.int16),
     }
-    with pytest.raises(
-        UsageError,
-        match=r"fetch_head/depth has shape \(2, 64, 64, 1\); .* need \(2, 128, 128, 1\)",
+    with refused(
+        "observation sensor_data/fetch_head/depth",
+        (2, 64, 64, 1),
+        expected="(2, 128, 128, 1)",
     ):
         policy.act(small, info(0, 1))
 

@@ -20,6 +20,7 @@ from mjhab.paper.reproduce.variants import CHANGED, STYLES, VARIANTS, Imitation
 from mjhab.reports.paper import paper_success
 from mjhab.robots.robot import Robot
 from tests.learning.small import config
+from tests.refusals import command, refused
 
 COMMAND = "reproduce table1 --rows set_table/close/drawer --preset tiny --json".split()
 
@@ -36,35 +37,27 @@ def test_rows_are_those_of_the_paper() -> None:
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "told"),
     [
-        (("--robot", "fetsh"), "Did you mean 'fetch'"),
-        (("--rows", "set_table/close/drawr"), "Did you mean 'set_table/close/drawer'"),
-        (("--preset", "smal"), "Did you mean 'small'"),
-        (("--split", "vla"), "unknown split"),
-        (("--episodes", "0"), "episodes must be at least 1"),
-        (("--profile", "ms_hub"), "Did you mean 'ms_hab'"),
-        (("--variants", "px_64"), "unknown variant of table1 'px_64'"),
-        (("--column", "rl_al"), "Did you mean 'rl_all'"),
-        (("--column", "rl_all", "--preset", "small"), "preset"),
-        (("--policies", "nowhere"), "not a folder of `mjhab reproduce`"),
-        (("--demos", "-1"), "demos must be at least 0"),
-        (
-            ("--demos", "5"),
-            "--demos is for table5, demo_count, filters, choices, not for table1",
-        ),
-        (
-            ("--updates", "5"),
-            "--updates is for table5, demo_count, filters, choices, not for table1",
-        ),
+        (("--robot", "fetsh"), dict(option="robot", expected="fetch")),
+        (("--rows", "set_table/close/drawr"), dict(expected="set_table/close/drawer")),
+        (("--preset", "smal"), dict(expected="small")),
+        (("--split", "vla"), dict(option="split", given="vla")),
+        (("--episodes", "0"), dict(option="episodes", given=0)),
+        (("--profile", "ms_hub"), dict(option="profile", expected="ms_hab")),
+        (("--variants", "px_64"), dict(option="variant of table1", given="px_64")),
+        (("--column", "rl_al"), dict(expected="rl_all")),
+        (("--column", "rl_all", "--preset", "small"), dict(said="preset")),
+        (("--policies", "nowhere"), dict(where="nowhere", said="not a folder of")),
+        (("--demos", "-1"), dict(option="demos", given=-1)),
+        (("--demos", "5"), dict(option="demos", given=5, expected="table5")),
+        (("--updates", "5"), dict(option="updates", given=5, expected="table5")),
     ],
 )
-def test_bad_input(
-    words: tuple[str, ...], said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_bad_input(words: tuple[str, ...], told: dict[str, Any], tmp_path: Path) -> None:
     out = tmp_path / "run"
-    assert main(["reproduce", "table1", "--out", str(out), *words]) == 2
-    assert said in capsys.readouterr().err
+    with refused(**told):
+        command("reproduce", "table1", "--out", str(out), *words)
     assert not out.exists()
 
 
@@ -115,8 +108,8 @@ def test_a_row_is_trained_judged_and_set_beside_the_paper(
     assert row["paper"] == {"rl_per": 88.79, "bc": 88.39, "dp": 89.29}
     text = (tmp_path / "report.html").read_text(encoding="utf-8")
     assert "88.39" in text and 'src="http' not in text
-    assert main(words) == 2
-    assert "is not empty" in capsys.readouterr().err
+    with refused("out", expected="empty"):
+        command(*words)
     trained = (
         (tmp_path / "set_table.close.drawer" / "train" / "student.safetensors")
         .stat()
@@ -185,18 +178,11 @@ def test_a_study_trains_one_policy_for_each_of_its_variants(
     collected = data.stat().st_mtime_ns
     assert main([*words, "--resume"]) == 0
     assert data.stat().st_mtime_ns == collected
-    assert (
-        main(["reproduce", "filters", "--column", "rl_all", "--out", str(tmp_path / "f")])
-        == 2
-    )
-    assert "leave out --column rl_all" in capsys.readouterr().err
-    assert (
-        main(
-            ["reproduce", "filters", "--policies", str(out), "--out", str(tmp_path / "f")]
-        )
-        == 2
-    )
-    assert "leave out --policies" in capsys.readouterr().err
+    filters = ("reproduce", "filters", "--out", tmp_path / "f")
+    with refused("column", "rl_all", expected="left out with filters"):
+        command(*filters, "--column", "rl_all")
+    with refused(where="filters", said="leave out --policies"):
+        command(*filters, "--policies", out)
 
 
 def test_data_of_the_filter_study_differ_in_how_objects_are_released() -> None:
@@ -269,15 +255,12 @@ def test_choices_share_data_where_they_need_the_same(
 
 
 @pytest.mark.parametrize("what", VARIANTS)
-def test_an_unknown_variant_is_refused_with_the_list(
-    what: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_unknown_variant_is_refused_with_the_list(what: str, tmp_path: Path) -> None:
     out = tmp_path / "run"
     known = [variant.name for variant in VARIANTS[what]]
-    assert main(["reproduce", what, "--out", str(out), "--variants", known[0], "x"]) == 2
-    said = capsys.readouterr().err
-    assert f"unknown variant of {what} 'x'" in said
-    assert f"Valid names: {', '.join(sorted(known))}." in said
+    with refused(f"variant of {what}", "x") as told:
+        command("reproduce", what, "--out", str(out), "--variants", known[0], "x")
+    assert told.value.expected == tuple(sorted(known))
     assert not out.exists()
 
 
@@ -287,12 +270,10 @@ def test_every_choice_changes_the_preset() -> None:
         assert (with_changes(small, changes) == small) == (name == "preset")
 
 
-def test_students_of_a_table_are_trained_on_the_device(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_students_of_a_table_are_trained_on_the_device(tmp_path: Path) -> None:
     out = tmp_path / "run"
     rows = ["--rows", "set_table/close/drawer", "--preset", "quick"]
     words = ["reproduce", "table1", *rows, "--device", "cuda:77", "--out", str(out)]
-    assert main(words) == 2
-    assert "no device 'cuda:77' to train on" in capsys.readouterr().err
+    with refused("device", "cuda:77"):
+        command(*words)
     assert not out.exists()

@@ -14,7 +14,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mjhab.core.errors import UsageError
 from mjhab.data.select.query import Filter
 from mjhab.data.store.images import ImageFormat
 from mjhab.data.store.places import episodes
@@ -28,6 +27,7 @@ from mjhab.reports.paper import POLICIES, paper_row, paper_success
 from mjhab.tasks.subtasks.registry import SUBTASKS
 from tests.data.fake_world import FakeEnv
 from tests.data.make import record, record_pictures
+from tests.refusals import refused
 
 
 def test_every_published_row_adds_up() -> None:
@@ -222,7 +222,7 @@ def test_the_page_is_whole(tmp_path: Path) -> None:
         tmp_path / "b.h5", FilmWriter, Filter("index < 1 and (tainted or not tainted)")
     )
     assert "mjhab replay --render adds them" in bare and "<video" not in bare
-    with pytest.raises(UsageError, match="no episode passes"):
+    with refused(said="no episode passes"):
         render_data_report(tmp_path, FilmWriter, Filter("steps > 1000"))
 
 

@@ -9,11 +9,11 @@ from typing import Any
 
 import pytest
 
-from mjhab.core.errors import UsageError
 from mjhab.reports.students import judged_row, main, read_rows, student_row
 from mjhab.rollout.loop import rollout
 from mjhab.rollout.policy import ZeroPolicy
 from mjhab.rollout.store import EvaluationFolder
+from tests.refusals import refused
 from tests.rollout.fake_env import FakeEnv
 
 SUMMARY = {
@@ -145,11 +145,9 @@ def test_what_does_not_belong_together_is_refused(
 ) -> None:
     run = make_run(tmp_path / "run")
     judged = make_evaluation(tmp_path / "judged", b"of another student")
-    with pytest.raises(UsageError, match="not an evaluation of a checkpoint"):
+    with refused(where="judged", said="not an evaluation of a checkpoint"):
         student_row(run, judged)
-    with pytest.raises(
-        UsageError, match="0 rows are of tidy_house/pick//64/builtin/0, not one"
-    ):
+    with refused(said="0 rows are of tidy_house/pick//64/builtin/0, not one"):
         judged_row([], judged)
     assert main([str(tmp_path / "f.json"), str(run), str(tmp_path / "nothing")]) == 1
     assert "does not exist" in capsys.readouterr().err

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mjhab.core.boxes import sphere_box_distance
-from mjhab.core.errors import UsageError
 from mjhab.core.rotations import (
     frame_from_axes,
     quat_from_yaw,
@@ -99,7 +97,7 @@ def test_unknown_links_and_joints_are_named():
         )
     with refused("joint", "elbow_joint", expected="elbow_flex_joint"):
         CHAIN.columns_of(("elbow_joint",))
-    with pytest.raises(UsageError, match="turned against"):
+    with refused(where="link 'laser_link'", said="turned against"):
         ROBOT.chain_with(("laser_link",))
 
 

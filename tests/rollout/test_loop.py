@@ -14,11 +14,11 @@ from gymnasium.vector import AutoresetMode
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mjhab.core.errors import UsageError
 from mjhab.rollout.loop import rollout
 from mjhab.rollout.policy import RandomPolicy, ZeroPolicy
 from mjhab.rollout.records import EpisodeRecord
 from mjhab.rollout.sinks import Sink, StepView
+from tests.refusals import refused
 from tests.rollout.fake_env import FakeEnv
 
 
@@ -194,9 +194,9 @@ def test_sinks_are_closed_when_interrupted() -> None:
     assert log.closed == 1
 
 
-@pytest.mark.parametrize(("episodes", "message"), [([1, -2], "-2"), ([1, 1], "distinct")])
-def test_bad_indices_are_refused(episodes: list[int], message: str) -> None:
-    with pytest.raises(UsageError, match=message):
+@pytest.mark.parametrize("episodes", [[1, -2], [1, 1]])
+def test_bad_indices_are_refused(episodes: list[int]) -> None:
+    with refused("episode indices"):
         rollout(FakeEnv(1), ZeroPolicy(), episodes, seed=0)
 
 
@@ -205,10 +205,7 @@ def test_an_env_that_resets_by_itself_is_refused(mode: AutoresetMode) -> None:
     env = FakeEnv(1)
     log = Log()
     env.metadata = {"autoreset_mode": mode}
-    with pytest.raises(
-        UsageError,
-        match=f"autoreset='{mode.name.lower()}'.*autoreset=\"disabled\".*mjhab.evaluate",
-    ):
+    with refused("autoreset", advice="mjhab.evaluate"):
         rollout(env, ZeroPolicy(), [0], seed=0, sinks=[log])
     assert env.resets == [] and log.begun == []
 
@@ -216,10 +213,10 @@ def test_an_env_that_resets_by_itself_is_refused(mode: AutoresetMode) -> None:
 def test_an_env_of_tensors_or_of_one_world_is_refused() -> None:
     env = FakeEnv(1)
     env.metadata["tensors"] = True
-    with pytest.raises(UsageError, match="backend='cpu'"):
+    with refused(said="backend='cpu'"):
         rollout(env, ZeroPolicy(), [0], seed=0)
     single: Any = SimpleNamespace(metadata={})
-    with pytest.raises(UsageError, match="needs a vector environment"):
+    with refused(said="needs a vector environment"):
         rollout(single, ZeroPolicy(), [0], seed=0)
 
 
@@ -229,9 +226,7 @@ def test_actions_must_have_a_row_per_world(shape: tuple[int, ...]) -> None:
         def act(self, obs: Any, info: Mapping[str, Any]) -> np.ndarray:
             return np.zeros(shape, np.float32)
 
-    with pytest.raises(
-        UsageError, match=r"policy 'zero' must return actions \(W, A\) for W = 2 worlds"
-    ):
+    with refused(where="policy 'zero'", said="actions (W, A) for W = 2 worlds"):
         rollout(FakeEnv(2), Wrong(), range(2), seed=0)
 
 
@@ -296,22 +291,22 @@ def spoilt(value: float, world: int = 1) -> np.ndarray:
     [
         (
             spoilt(np.nan),
-            r"returned nan in column 5 of its actions, in episode 1 after control step 3 \(world 1\)",
+            "returned nan in column 5 of its actions, in episode 1 after control step 3 (world 1)",
         ),
-        (spoilt(-np.inf, 0), r"returned -inf in column 5 of its actions, in episode 0"),
-        (np.zeros(13), r"actions \(W, A\) for W = 2 worlds, got \(13,\)"),
-        (np.zeros((1, 13)), r"got \(1, 13\)"),
-        (np.zeros((2, 1, 13)), r"got \(2, 1, 13\)"),
-        (0.0, r"got \(\)"),
-        ("left", r"must return numbers \(W, A\), got <class 'str'>"),
-        (None, r"got"),
-        ([[1.0], [1.0, 2.0]], r"must return numbers"),
+        (spoilt(-np.inf, 0), "returned -inf in column 5 of its actions, in episode 0"),
+        (np.zeros(13), "actions (W, A) for W = 2 worlds, got (13,)"),
+        (np.zeros((1, 13)), "got (1, 13)"),
+        (np.zeros((2, 1, 13)), "got (2, 1, 13)"),
+        (0.0, "got ()"),
+        ("left", "got 'left' (str)"),
+        (None, "got"),
+        ([[1.0], [1.0, 2.0]], "must be numbers"),
     ],
     ids=repr,
 )
 def test_what_are_no_actions_is_told(given: Any, message: str) -> None:
     log = Log()
-    with pytest.raises(UsageError, match=rf"policy 'broken' .*{message}"):
+    with refused(where="policy 'broken'", said=message):
         rollout(FakeEnv(2), Broken(2, given), range(4), 0, [log])
     assert log.closed == 1
 

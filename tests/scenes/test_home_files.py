@@ -310,9 +310,7 @@ def test_home_of_an_environment_may_be_a_file(tmp_path: Path) -> None:
     path = str(room(tmp_path))
     config = EnvConfig(task="tidy_house", home=path)
     assert (config.assets, config.home) == (path, "*")
-    with pytest.raises(
-        UsageError, match="is a file, which is a pack of its own: leave out assets"
-    ):
+    with refused("assets", "data", expected="left out"):
         EnvConfig(task="tidy_house", home=path, assets="data")
 
 
@@ -339,7 +337,5 @@ def test_a_python_file_that_cannot_be_run_is_named(
 
 @pytest.mark.parametrize("place", ["examples/home/nope.json", "nope.py"])
 def test_a_home_file_that_does_not_exist_is_told(place: str) -> None:
-    with pytest.raises(
-        UsageError, match=f"home file '{place}' does not exist; expected a .json or"
-    ):
+    with refused("home file", place, expected="a .json or"):
         open_pack(place)

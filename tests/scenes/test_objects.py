@@ -163,7 +163,7 @@ def test_an_object_of_the_name_of_one_of_another_pack_is_refused() -> None:
     pack = dataclasses.replace(
         builtin_pack(), name="theirs", objects={"their_box": theirs}
     )
-    with pytest.raises(UsageError, match="pack 'theirs' both have 'their_box'"):
+    with refused(where="'their_box'", said="pack 'theirs' has 'their_box', too"):
         with_registered_objects(pack)
 
 

@@ -39,8 +39,8 @@ def of_homes(count: int) -> Callable[[Any], Pack]:
         ),
         (refusing, r"asset pack 'mine' cannot open mine: no walls\."),
         (lambda request: None, "asset pack 'mine' .* must return a .*Pack, got NoneType"),
-        (of_homes(0), "asset pack mine has no homes"),
-        (of_homes(2), "asset pack mine has 2 homes of the name 'builtin_m0_00'"),
+        (of_homes(0), "asset pack mine: has no homes"),
+        (of_homes(2), "asset pack mine: has 2 homes of the name 'builtin_m0_00'"),
     ],
 )
 def test_a_source_that_fails_is_named(open_it: Callable[[Any], Any], told: str) -> None:

@@ -110,11 +110,9 @@ def test_a_registered_pack_is_opened_by_its_name() -> None:
     register_pack(PackSource("two_homes", lambda request: pack))
     try:
         assert open_pack("two_homes") is pack
-        with pytest.raises(
-            UsageError, match="asset pack 'two_homes' is registered twice"
-        ):
+        with refused("asset pack", "two_homes", expected="registered once"):
             register_pack(PackSource("two_homes", lambda request: pack))
-        with pytest.raises(UsageError, match="Did you mean 'two_homes'"):
+        with refused("asset pack", "two_home", expected="two_homes"):
             open_pack("two_home")
     finally:
         PACK_SOURCES.remove("two_homes")

@@ -16,7 +16,6 @@ from websockets.sync.server import ServerConnection
 
 import mjhab.serving.client as client
 import mjhab.serving.patience as patience
-from mjhab.core.errors import UsageError
 from mjhab.serving.address import Address
 from mjhab.serving.client import Connection, PolicyFault
 from mjhab.serving.dialects.dialect import RESET_DONE
@@ -24,6 +23,7 @@ from mjhab.serving.dialects.names import DIALECTS
 from mjhab.serving.packing import pack, unpack
 from mjhab.serving.patience import Patience
 from mjhab.serving.server import ServerOptions, free_socket
+from tests.refusals import refused
 from tests.serving.blocking import Blocking, blocking
 from tests.serving.constant import Constant, an_ask, serving
 from tests.serving.test_ends import scripted
@@ -149,9 +149,8 @@ def test_a_stuck_server_ends_the_wait() -> None:
 def test_a_busy_server_is_not_no_server(capsys: pytest.CaptureFixture[str]) -> None:
     with free_socket("127.0.0.1", 0) as listening:
         port = listening.getsockname()[1]
-        with pytest.raises(UsageError) as told:
+        with refused(said="says nothing for 0.7 s") as told:
             Connection(address(port, first_timeout=0.7)).greet()
-        assert "says nothing for 0.7 s" in str(told.value)
         assert "no policy server at" not in str(told.value)
         assert "--first-timeout" in str(told.value)
         assert "has not greeted" in capsys.readouterr().err

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mjhab.core.errors import UsageError
 from mjhab.tasks.household.registry import chain
 from mjhab.tasks.measure import active_entries, measure
 from mjhab.tasks.plan import Subtask, SubtaskKind, Target, TaskPlan, stack_plans
@@ -17,6 +16,7 @@ from mjhab.tasks.progress import Progress, accumulate, start
 from mjhab.tasks.rewards.table import posture_error
 from mjhab.tasks.signals import Signals
 from mjhab.tasks.thresholds import TaskConfig
+from tests.refusals import refused
 from tests.tasks.build import (
     CONFIG,
     REST,
@@ -192,7 +192,7 @@ def test_place_goal_types() -> None:
         and not at((0, 0, 0.16), zone)
     )
     plan = plan_of(PLACE)
-    with pytest.raises(UsageError, match="goal_rect"):
+    with refused(said="goal_rect"):
         measure(resting(), plan, start(plan, zone), zone)
 
 

@@ -7,7 +7,6 @@ import math
 import numpy as np
 import pytest
 
-from mjhab.core.errors import UsageError
 from mjhab.tasks.household.registry import chain
 from mjhab.tasks.plan import (
     PADDING,
@@ -91,7 +90,7 @@ def test_wrong_plans_say_what_is_expected() -> None:
         chain("settable", [])
     with refused("number of targets of tidy_house", 6, expected="1 to 5"):
         chain("tidy_house", [BOWL, APPLE] * 3)
-    with pytest.raises(UsageError, match="start_link for 'pear'"):
+    with refused("start_link"):
         chain("set_table", [BOWL, Target("pear", (0, 0, 0))])
 
 

@@ -18,7 +18,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mjhab.core.arrays import map_record
-from mjhab.core.errors import UsageError
 from mjhab.tasks.measure import measure
 from mjhab.tasks.progress import start
 from mjhab.tasks.rewards.table import RewardView
@@ -253,7 +252,7 @@ def test_normalisers_are_those_of_the_original() -> None:
 
 @pytest.mark.parametrize("bad", [{"formula": "publisht"}, {"normaliser": "largest"}])
 def test_unknown_options_are_refused(bad: dict[str, Any]) -> None:
-    with pytest.raises(UsageError, match="published"):
+    with refused(f"reward {next(iter(bad))}", *bad.values(), expected="published"):
         RewardOptions(**bad)
     with refused("stillness", "absolut", expected="absolute"):
         replace(CONFIG, stillness="absolut")

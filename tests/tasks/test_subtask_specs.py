@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 import mjhab
-from mjhab.core.errors import UsageError
 from mjhab.tasks.household.registry import TASKS, task_with
 from mjhab.tasks.household.spec import TargetRule, TaskSpec
 from mjhab.tasks.label_state import WATCHED, fold
@@ -66,81 +65,97 @@ def test_numbers_are_those_of_the_original() -> None:
 
 
 @pytest.mark.parametrize(
-    ("changes", "said"),
+    ("changes", "told"),
     [
-        ({"label_rules": ()}, "subtask 'stare' has no label_rules;"),
-        ({"conditions": ()}, "has no conditions;"),
-        ({"conditions": (), "label_rules": ()}, "has no conditions and no label_rules;"),
-        ({"words": (), "start": None}, "has no words and no start; give words=("),
+        ({"label_rules": ()}, dict(option="label_rules", where="subtask 'stare'")),
+        ({"conditions": ()}, dict(option="conditions")),
+        ({"conditions": (), "label_rules": ()}, dict(option="conditions")),
+        ({"words": (), "start": None}, dict(option="words")),
+        ({"start": None}, dict(option="start")),
+        ({"words": "stare at {object}"}, dict(option="words", given="stare at {object}")),
+        ({"conditions": "is_static"}, dict(option="conditions", given="is_static")),
         (
-            {"start": None},
-            "give start=, an object of a subclass of mjhab.episodes.starts.Sub",
+            {"words": ("grab {thing}",)},
+            dict(option="placeholder of the wording 'grab {thing}':", given="thing"),
         ),
-        ({"words": "stare at {object}"}, "words must be a tuple of texts"),
-        ({"conditions": "is_static"}, "conditions must be a tuple of texts"),
-        ({"words": ("grab {thing}",)}, "of the wording 'grab {thing}': 'thing'. "),
-        ({"words": ("grab {}",)}, "of the wording 'grab {}': ''. "),
-        ({"words": ("grab {object",)}, "the wording 'grab {object' cannot be read"),
+        (
+            {"words": ("grab {}",)},
+            dict(option="placeholder of the wording 'grab {}':", given=""),
+        ),
+        (
+            {"words": ("grab {object",)},
+            dict(said="the wording 'grab {object' cannot be read"),
+        ),
         (
             rules(lambda s: s.ever("sucess")),
-            "label rule 'a': unknown signal 'sucess'. Did you",
+            dict(
+                where="subtask 'stare': label rule 'a'",
+                said="label rule 'a': unknown signal 'sucess'. Did you",
+            ),
         ),
         (
             rules(lambda s: s.holds("released")),
-            "label rule 'a': unknown signal 'released'.",
+            dict(
+                where="subtask 'stare': label rule 'a'",
+                said="label rule 'a': unknown signal 'released'.",
+            ),
         ),
-        (rules(lambda s: s.nothing), "label rule 'a' raised AttributeError"),
+        (rules(lambda s: s.nothing), dict(where="subtask 'stare': label rule 'a'")),
         (
             rules(lambda s: True),
-            "must give one bool per world, shape (W,), as LabelState.ever",
-        ),
-        (rules(lambda s: 1.0 * s.ever("success")), "got float64 of shape (2,)"),
-        ({"conditions": ("is_statik",)}, "Did you mean 'is_static'"),
-        ({"events": ("sucess",)}, "Did you mean 'success'"),
-        ({"edges": {"success": "+sucess"}}, "subtask 'stare': unknown edge '+sucess'"),
-        ({"edges": {"stared": "+success"}}, "subtask 'stare': unknown event 'stared'"),
-        ({"shows": ("goals",)}, "Did you mean 'goal'"),
-        ({"measures": {"at_goal": 3}}, "the measure of 'at_goal' must be a function"),
-        (
-            {"measures": {"at_gaol": max}},
-            "subtask 'stare': unknown check 'at_gaol'. Did you mean 'at_goal'",
-        ),
-        ({"color": "red"}, "like '#3b82f6'"),
-        ({"about": "thing"}, "subtask 'stare': unknown about 'thing'"),
-        (
-            {"label_rules": SPARE["label_rules"][:1]},
-            "the last, and no other, is without a condition",
+            dict(
+                where="subtask 'stare': label rule 'a'",
+                said="must give one bool per world, shape (W,), as LabelState.ever",
+            ),
         ),
         (
-            {"label_rules": SPARE["label_rules"][::-1]},
-            "the last, and no other, is without a condition",
+            rules(lambda s: 1.0 * s.ever("success")),
+            dict(
+                where="subtask 'stare': label rule 'a'", said="got float64 of shape (2,)"
+            ),
         ),
+        ({"conditions": ("is_statik",)}, dict(option="check", given="is_statik")),
+        ({"events": ("sucess",)}, dict(option="event", given="sucess")),
+        ({"edges": {"success": "+sucess"}}, dict(option="edge", given="+sucess")),
+        ({"edges": {"stared": "+success"}}, dict(option="event", given="stared")),
+        ({"shows": ("goals",)}, dict(option="observation", given="goals")),
+        ({"measures": {"at_goal": 3}}, dict(option="the measure of 'at_goal'", given=3)),
+        ({"measures": {"at_gaol": max}}, dict(option="check", given="at_gaol")),
+        ({"color": "red"}, dict(option="color", given="red")),
+        ({"about": "thing"}, dict(option="about", given="thing")),
+        ({"label_rules": SPARE["label_rules"][:1]}, dict(option="label_rules")),
+        ({"label_rules": SPARE["label_rules"][::-1]}, dict(option="label_rules")),
         (
             {"label_rules": (SPARE["label_rules"][0], LabelRule("stare_success"))},
-            "labels must be different",
+            dict(option="labels", given=("stare_success", "stare_success")),
         ),
-        ({"name": "Stare!"}, "lower-case"),
-        ({"name": 3}, "subtask 3: name must be a text, got 3"),
-        ({"color": 3}, "subtask 'stare': color must be a text"),
-        ({"limits": 200}, "limits must be a SubtaskConfig, got 200"),
-        ({"limits": SubtaskConfig(0, 100.0)}, "horizon of limits must be a whole number"),
-        ({"limits": SubtaskConfig(200, 0.0)}, "force_limit of limits must be a number"),
-        ({"train_horizon": "long"}, "train_horizon must be a whole number or None"),
-        ({"train_horizon": -1}, "train_horizon must be a whole number of control steps"),
-        ({"measures": ["at_goal"]}, "measures must be a mapping"),
-        ({"edges": ("success",)}, "edges must be a mapping"),
-        ({"label_rules": ("done", "failed")}, "label_rules[0] must be a LabelRule"),
-        ({"reward": "dense"}, "reward must be a RewardTable or None"),
-        ({"published": ("done",)}, "published must be a PublishedLabels or None"),
-        ({"keeps_goal": "no"}, "keeps_goal must be True or False"),
+        ({"name": "Stare!"}, dict(option="name of a subtask", given="Stare!")),
+        ({"name": 3}, dict(option="name", given=3)),
+        ({"color": 3}, dict(option="color", given=3)),
+        ({"limits": 200}, dict(option="limits", given=200)),
+        ({"limits": SubtaskConfig(0, 100.0)}, dict(option="horizon of limits", given=0)),
+        (
+            {"limits": SubtaskConfig(200, 0.0)},
+            dict(option="force_limit of limits", given=0.0),
+        ),
+        ({"train_horizon": "long"}, dict(option="train_horizon", given="long")),
+        ({"train_horizon": -1}, {"option": "train_horizon", "given": -1}),
+        ({"measures": ["at_goal"]}, dict(option="measures", given=["at_goal"])),
+        ({"edges": ("success",)}, dict(option="edges", given=("success",))),
+        (
+            {"label_rules": ("done", "failed")},
+            dict(option="label_rules[0]", given="done"),
+        ),
+        ({"reward": "dense"}, dict(option="reward", given="dense")),
+        ({"published": ("done",)}, dict(option="published", given=("done",))),
+        ({"keeps_goal": "no"}, dict(option="keeps_goal", given="no")),
     ],
 )
 def test_a_subtask_that_lacks_something_is_refused(
-    changes: dict[str, Any], said: str
+    changes: dict[str, Any], told: dict[str, Any]
 ) -> None:
-    with pytest.raises(UsageError) as error:
+    with refused(**told):
         SubtaskSpec(**{"name": "stare", **SPARE, **changes})
-    assert said in str(error.value)
 
 
 def test_two_subtasks_or_tasks_of_one_name_are_refused() -> None:
@@ -155,13 +170,13 @@ def test_what_a_spec_leaves_out_is_told_when_it_is_asked_for(stare: SubtaskSpec)
     assert spec_of(kind) is stare and kind == len(SubtaskKind)
     assert legacy_label(kind, ["success"], True) is None
     assert DenseReward(CONFIG).score is not None
-    with pytest.raises(UsageError, match="'stare' has no dense reward"):
+    with refused("reward_mode", "dense"):
         DenseReward(CONFIG, kinds=["stare"])
-    with pytest.raises(UsageError, match="'stare' has no dense reward"):
+    with refused("reward_mode", "dense"):
         reward_table("stare")
-    with pytest.raises(UsageError, match="no task has the subtask 'stare'"):
+    with refused(said="no task has the subtask 'stare'"):
         task_with("stare")
-    with pytest.raises(UsageError, match="'stare' belongs to: no task"):
+    with refused("subtask", "stare"):
         mjhab.make(task="set_table", subtask="stare")
     kinds = np.array([kind, -1, 2])
     assert (
@@ -173,7 +188,7 @@ def test_tables_grow_and_shrink_with_the_registry() -> None:
     spec = register_subtask(SubtaskSpec(name="stare", **SPARE))
     assert properties(np.array([5]), "jointed").shape == (1, 1) and spec.name in SUBTASKS
     SUBTASKS.remove("stare")
-    with pytest.raises(UsageError, match="no subtask with the number 5"):
+    with refused("number of a subtask", 5):
         properties(np.array([5]), "jointed")
 
 
@@ -192,7 +207,13 @@ UNKNOWN: dict[str, Callable[[], object]] = {
 
 @pytest.mark.parametrize("where", UNKNOWN)
 def test_an_unknown_kind_is_an_error(where: str) -> None:
-    with pytest.raises(UsageError, match=r"no subtask with the number|Did you mean"):
+    with refused(
+        "subtask"
+        if where in ("reward", "subtask")
+        else "task"
+        if where == "task"
+        else "number of a subtask"
+    ):
         UNKNOWN[where]()
 
 

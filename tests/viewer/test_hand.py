@@ -8,7 +8,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mjhab.core.errors import UsageError
 from mjhab.viewer.sources.hand import (
     BUTTONS,
     GRIPPER_BUTTON,
@@ -20,6 +19,7 @@ from mjhab.viewer.sources.hand import (
     HandInput,
     read_input,
 )
+from tests.refusals import refused
 
 SETTLING_STEPS = 10
 """Episodes begin with a posture that is not at rest."""
@@ -154,6 +154,6 @@ def test_other_control_modes_are_refused() -> None:
         subtask="pick", control_mode="pd_ee_delta_pose", autoreset="disabled", threads=1
     )
     env.reset(seed=0)
-    with pytest.raises(UsageError, match="by hand needs control_mode"):
+    with refused("control_mode", "pd_ee_delta_pose", expected="by hand"):
         HandControl().begin(env, 0)
     env.close()

@@ -35,6 +35,7 @@ from mjhab.viewer.pages.panels import Panels
 from mjhab.viewer.pages.playhead import Playhead
 from mjhab.viewer.pages.timeline import actor_colors
 from mjhab.viewer.sources.replay import Replay
+from tests.refusals import refused
 from tests.viewer import check_browser
 from tests.viewer.conftest import STEPS
 
@@ -452,7 +453,7 @@ def test_after_the_last_port_there_is_none(monkeypatch: pytest.MonkeyPatch) -> N
         raise OSError("in use")
 
     monkeypatch.setattr("mjhab.viewer.pages.gateway.serve", refuse)
-    with pytest.raises(UsageError, match="ports 65530 to 65535: in use"):
+    with refused(said="ports 65530 to 65535: in use"):
         Gateway(1, "localhost", 65530, bool)
     assert tried == list(range(65530, 65536))
 

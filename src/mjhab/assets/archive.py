@@ -153,7 +153,7 @@ def _tar_members(content: IO[bytes], archive: Path) -> Iterator[Member]:
 
 
 def _refused(archive: Path, name: str, kind: str) -> UsageError:
-    return UsageError(f"{archive}: {name!r} is {kind}; nothing was installed.")
+    return fault(archive, f"{name!r} is {kind}; nothing was installed.")
 
 
 def _most_bytes(archive: Path) -> float:

@@ -23,7 +23,7 @@ from typing import Any, TypeVar
 
 from mjhab.assets.archive import safe_path
 from mjhab.assets.sources import hub_endpoint
-from mjhab.core.errors import MjhabError, UsageError
+from mjhab.core.errors import MjhabError, UsageError, wrong_value
 from mjhab.core.files.reading import reason
 from mjhab.core.version import __version__
 
@@ -104,7 +104,7 @@ def list_files(name: str, revision: str) -> Repository:
     try:
         validate_repo_id(name)
     except HFValidationError as error:
-        raise UsageError(f"--repo {name!r}: {reason(error)}") from error
+        raise wrong_value("repo", name, f"a repository ({reason(error)})") from error
     logging.set_verbosity_error()
     where = f"{hub_endpoint()}/datasets/{name}"
     api = HfApi(hub_endpoint(), library_name="mjhab", library_version=__version__)

@@ -19,7 +19,7 @@ from typing import Any
 from mjhab.assets.archive import safe_path, unpack
 from mjhab.assets.hub import Repository, download, list_files
 from mjhab.assets.sources import Source
-from mjhab.core.errors import UsageError, fault
+from mjhab.core.errors import fault
 from mjhab.core.files.cache import write_atomic
 from mjhab.core.files.locking import WriteLock
 from mjhab.core.files.reading import parse_json
@@ -85,7 +85,7 @@ def install_bundle(
         UsageError: it is installed already, or the archive is no such data set, damaged or dangerous.
     """
     if not bundle.is_file():
-        raise UsageError(f"--offline {bundle}: there is no such file.")
+        raise fault(bundle, "does not exist.")
     with _work_folder(source, root, overwrite) as content:
         unpack(bundle, content)
         _install(source, content, root, {"origin": bundle.name, "trust": "first use"})
@@ -99,8 +99,8 @@ def verify(folder: Path) -> Verification:
         UsageError: there is no such folder, or its record cannot be read.
     """
     if not folder.is_dir():
-        raise UsageError(
-            f"{folder} does not exist; `mjhab assets fetch {folder.name}` gets it."
+        raise fault(
+            folder, f"does not exist; `mjhab assets fetch {folder.name}` gets it."
         )
     record = read_record(folder)
     if record is None:
@@ -141,8 +141,9 @@ def _refuse_without_room(folder: Path, total: int) -> None:
     have = sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())
     free = shutil.disk_usage(folder).free
     if total - have > free:
-        raise UsageError(
-            f"{folder} needs {(total - have) / 1e9:.1f} GB more, but only {free / 1e9:.1f} GB are free."
+        raise fault(
+            folder,
+            f"needs {(total - have) / 1e9:.1f} GB more, but only {free / 1e9:.1f} GB are free.",
         )
 
 
@@ -156,9 +157,10 @@ def _places(source: Source, repository: Repository) -> dict[str, str]:
         path: to for path in repository.files if (to := source.place(path)) is not None
     }
     if not places:
-        raise UsageError(
-            f"{source.repo} at {source.revision} has {len(repository.files)} files, but none that {source.name} is "
-            "made of; it may have changed: name another with --repo and --revision, or give an archive with --offline."
+        raise fault(
+            source.repo,
+            f"at {source.revision} has {len(repository.files)} files, but none that {source.name} is "
+            "made of; it may have changed: name another with --repo and --revision, or give an archive with --offline.",
         )
     return places
 
@@ -172,8 +174,9 @@ def _work_folder(source: Source, root: Path, overwrite: bool) -> Iterator[Path]:
     """
     target = root / source.name
     if target.exists() and not overwrite:
-        raise UsageError(
-            f"{target} exists; `mjhab assets verify {target.name}` checks it, --overwrite replaces it."
+        raise fault(
+            target,
+            f"exists; `mjhab assets verify {target.name}` checks it, --overwrite replaces it.",
         )
     content = root / PARTIAL / f"{source.name}-content"
     content.parent.mkdir(parents=True, exist_ok=True)
@@ -196,8 +199,9 @@ def _install(
     found = _find(source, content)
     if found is None:
         needed = ", ".join(source.expects)
-        raise UsageError(
-            f"{provenance['origin']} is not the data set {source.name}: it must hold {needed}."
+        raise fault(
+            provenance["origin"],
+            f"not the data set {source.name}: it must hold {needed}.",
         )
     _write_record(found, provenance)
     _swap(found, root / source.name, root / PARTIAL / f"{source.name}-old")

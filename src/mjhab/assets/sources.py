@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from urllib.parse import urlsplit
 
-from mjhab.core.errors import UsageError, unknown_name
+from mjhab.core.errors import unknown_name, wrong_value
 
 ENDPOINT = "https://huggingface.co"
 
@@ -116,9 +116,7 @@ def hub_endpoint() -> str:
     given = os.environ.get("HF_ENDPOINT", "").strip() or ENDPOINT
     parts = urlsplit(given)
     if parts.scheme not in ("http", "https") or not parts.netloc:
-        raise UsageError(
-            f"HF_ENDPOINT must be an address such as {ENDPOINT}, got {given!r}."
-        )
+        raise wrong_value("HF_ENDPOINT", given, f"an address such as {ENDPOINT}")
     return given.rstrip("/")
 
 

@@ -20,7 +20,7 @@ from mjhab.config.profiles import (
     profile_named,
 )
 from mjhab.core.conventions.names import AXES, JOINT_ANGLES, WRAPPED, Conventions
-from mjhab.core.errors import UsageError, unknown_name
+from mjhab.core.errors import UsageError, missing_field, unknown_name, wrong_value
 from mjhab.core.typed.bounds import SEED, Bound
 from mjhab.core.typed.checks import check
 from mjhab.core.typed.flags import Flag, Keyed
@@ -211,9 +211,11 @@ class EnvConfig:
 
     def __post_init__(self) -> None:
         if isinstance(self.starts, str):
-            raise UsageError(
-                f"starts is the number of starts that the warp backend keeps, got {self.starts!r}; where the robot "
-                f"starts is spawn_rule: {', '.join(SPAWN_RULES)}."
+            raise wrong_value(
+                "starts",
+                self.starts,
+                "the number of starts that the warp backend keeps",
+                f"Where the robot starts is spawn_rule: {', '.join(SPAWN_RULES)}.",
             )
         if isinstance(self.cameras, str):
             object.__setattr__(self, "cameras", (self.cameras,))
@@ -243,15 +245,18 @@ class EnvConfig:
         if self.subtask:
             self._check_subtask(task, SUBTASKS[self.subtask])
         elif self.continuous:
-            raise UsageError(
-                "continuous=True needs a subtask: in a chain, success is what brings the next subtask."
+            raise wrong_value(
+                "continuous",
+                True,
+                "left out without a subtask: in a chain, success is what brings the next subtask",
             )
         if self.episodes_file:
             for name in ("spawns", "extra_objects"):
                 if getattr(self, name):
-                    raise UsageError(
-                        f"episodes_file and {name} exclude each other: a file of episodes has objects and places of "
-                        "its own."
+                    raise wrong_value(
+                        name,
+                        getattr(self, name),
+                        "left out with episodes_file, which has objects and places of its own",
                     )
         self._take_perturbations()
         for name in (self.subtask,) if self.subtask else task.subtasks:
@@ -293,8 +298,10 @@ class EnvConfig:
         if Path(self.home).suffix not in HOME_SUFFIXES:
             return
         if self.assets != "builtin":
-            raise UsageError(
-                f"home {self.home!r} is a file, which is a pack of its own: leave out assets (got {self.assets!r})."
+            raise wrong_value(
+                "assets",
+                self.assets,
+                f"left out: home {self.home!r} is a file, which is a pack of its own",
             )
         object.__setattr__(self, "assets", self.home)
         object.__setattr__(self, "home", "*")
@@ -329,20 +336,26 @@ class EnvConfig:
     def _check_subtask(self, task: TaskSpec, subtask: SubtaskSpec) -> None:
         if subtask.name not in task.subtasks:
             having = [name for name in TASKS if subtask.name in TASKS[name].subtasks]
-            raise UsageError(
-                f"task {task.name!r} has no subtask {subtask.name!r}; it has {', '.join(task.subtasks)}. "
-                f"{subtask.name!r} belongs to: {', '.join(having) or 'no task'}."
+            raise wrong_value(
+                "subtask",
+                subtask.name,
+                tuple(task.subtasks),
+                f"{subtask.name!r} belongs to: {', '.join(having) or 'no task'}.",
+                f"task {task.name!r}",
             )
         if self.reward_mode == "pointer":
-            raise UsageError(
-                "reward_mode 'pointer' counts the subtasks of a chain; a single one takes 'sparse'."
+            raise wrong_value(
+                "reward_mode",
+                self.reward_mode,
+                "one for a single subtask, such as 'sparse'",
+                "It counts the subtasks of a chain.",
             )
 
     def _check_backend(self) -> None:
         for name in ("starts", "buffers"):
             if self.backend == "cpu" and getattr(self, name):
-                raise UsageError(
-                    f"{name} is an option of backend 'warp'; leave it out with backend 'cpu'."
+                raise wrong_value(
+                    name, getattr(self, name), "left out with backend 'cpu'"
                 )
         check_device(self.backend, self.device)
         if self.path_shading is not None and self.backend != "cpu":
@@ -407,8 +420,10 @@ class TrainConfig(EnvConfig):
     def __post_init__(self) -> None:
         super().__post_init__()
         if not self.subtask:
-            raise UsageError(
-                f"a SubtaskTrain environment needs a subtask: {', '.join(SUBTASKS)}"
+            raise missing_field(
+                "subtask",
+                "SubtaskTrain environment",
+                f"Valid names: {', '.join(SUBTASKS)}.",
             )
 
 
@@ -462,8 +477,11 @@ def _override(
     plain = [f.name for f in dataclasses.fields(base) if f.name not in apart]
     nested = [f"{kind}.{limit}" for kind in SUBTASKS for limit in _LIMITS]
     if name == "stillness":
-        raise UsageError(
-            f"stillness is an option of its own, not one of the overrides: give stillness={value!r}."
+        raise wrong_value(
+            "overrides",
+            name,
+            "other than stillness, an option of its own",
+            f"Give stillness={value!r}.",
         )
     if name not in (*plain, *nested):
         raise unknown_name("task-config override", name, (*plain, *nested))
@@ -490,10 +508,10 @@ def _override(
 
 def _contradiction(profile: Profile, name: str, value: Any, given: Any) -> UsageError:
     """The error for an option that a profile does not leave free."""
-    return UsageError(
-        f"profile {profile.name!r} has {name} {value!r}, which {name}={given!r} contradicts. Leave out {name}, or the "
-        f"profile: {DEFAULT_PROFILE!r} leaves all options free."
+    advice = (
+        f"Leave out {name}, or the profile: {DEFAULT_PROFILE!r} leaves all options free."
     )
+    return wrong_value(name, given, repr(value), advice, f"profile {profile.name!r}")
 
 
 def _known(what: str, name: str, valid: tuple[str, ...]) -> None:

@@ -14,7 +14,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from mjhab.core.errors import MjhabError, UsageError, wrong_value
+from mjhab.core.errors import MjhabError, UsageError, fault, wrong_value
 from mjhab.core.names import check_name
 from mjhab.core.registration.plugins import raised_text
 from mjhab.core.registration.registry import Registry, check_item
@@ -256,7 +256,7 @@ def register_perturbation(perturbation: Perturbation) -> Perturbation:
                 f"levels of {name}", quantity.levels, f"{LEVELS} numbers", where=where
             )
     if not perturbation.hooks:
-        raise UsageError(f"{where} changes nothing: override one of {', '.join(HOOKS)}.")
+        raise fault(where, f"changes nothing: override one of {', '.join(HOOKS)}.")
     return PERTURBATIONS.add(perturbation.name, perturbation)
 
 

@@ -28,6 +28,7 @@ class UsageError(MjhabError):
         given: what it was given; None where the message alone tells.
         expected: the valid names, or a phrase such as ``"at least 1"``; "" where the message alone tells.
         where: the file or object that has the field; "" for none.
+        advice: what to do, a sentence; "" if that is clear, or the message alone tells.
     """
 
     def __init__(
@@ -38,12 +39,14 @@ class UsageError(MjhabError):
         given: object = None,
         expected: str | tuple[str, ...] = "",
         where: str = "",
+        advice: str = "",
     ) -> None:
         super().__init__(message)
         self.option = option
         self.given = given
         self.expected = expected
         self.where = where
+        self.advice = advice
 
 
 class FieldError(UsageError, ValueError):
@@ -112,13 +115,16 @@ def _refusal(
         given=given,
         expected=expected,
         where=str(where),
+        advice=advice,
     )
 
 
 def missing_field(name: str, where: object = "", advice: str = "") -> FieldError:
     """Build the error for a field that a file or object ``where`` must have; ``advice``: what to do, a sentence."""
     message = _placed(where, _joined(f"field {name!r} is missing.", advice))
-    return FieldError(message, option=name, expected="given", where=str(where))
+    return FieldError(
+        message, option=name, expected="given", where=str(where), advice=advice
+    )
 
 
 def unknown_name(
@@ -127,6 +133,7 @@ def unknown_name(
     valid: Iterable[str],
     elsewhere: Mapping[str, str] | None = None,
     where: object = "",
+    advice: str = "",
 ) -> FieldError:
     """Build the error for a name that is not in a closed list.
 
@@ -136,6 +143,7 @@ def unknown_name(
         valid: every accepted name; "" is left out.
         elsewhere: names that other projects use, and a sentence about what to give here.
         where: the file or object that has the name; "" for none.
+        advice: what to do, a sentence; "" if the list of names is all there is to say.
     """
     names = tuple(sorted(filter(None, valid)))
     if not isinstance(given, str):
@@ -146,13 +154,14 @@ def unknown_name(
         near = difflib.get_close_matches(given, names, n=1, cutoff=0.4)
         hint = f"Did you mean {near[0]!r}?" if near else ""
         said = _joined(f"unknown {kind} {shown(given)}.", hint)
-    message = f"{said} Valid names: {', '.join(names)}."
+    message = _joined(f"{said} Valid names: {', '.join(names)}.", advice)
     return FieldError(
         _placed(where, message),
         option=kind,
         given=given,
         expected=names,
         where=str(where),
+        advice=advice,
     )
 
 
@@ -178,13 +187,14 @@ def about(
     except kinds as error:
         message = _joined(f"{where}: {str(error).removesuffix('.')}.", advice)
         if not isinstance(error, UsageError):
-            raise UsageError(message, where=str(where)) from error
+            raise UsageError(message, where=str(where), advice=advice) from error
         raise UsageError(
             message,
             option=error.option,
             given=error.given,
             expected=error.expected,
             where=_placed(where, error.where) if error.where else str(where),
+            advice=_joined(error.advice, advice),
         ) from error
 
 

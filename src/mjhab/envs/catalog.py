@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import gymnasium
 
 from mjhab.config.env import EnvConfig, TrainConfig
-from mjhab.core.errors import UsageError, shown, unknown_name
+from mjhab.core.errors import UsageError, unknown_name, wrong_value
 from mjhab.envs.conversion import keep_what_is_no_number
 from mjhab.robots.registry import DEFAULT_ROBOT
 from mjhab.sim.backends import check_device, resolve
@@ -185,9 +185,11 @@ def make_single(*, env_id: str, **options: Any) -> SingleEnv:
     fixed = {"num_envs": 1, "autoreset": "disabled", "backend": "cpu"}
     for name, value in fixed.items():
         if options.get(name) not in (None, value):
-            raise UsageError(
-                f"one world as a plain gymnasium.Env has {name} {value!r}, got {shown(options[name])}; "
-                "gymnasium.make_vec takes others."
+            raise wrong_value(
+                name,
+                options[name],
+                f"{value!r} for one world as a plain gymnasium.Env",
+                "gymnasium.make_vec takes others.",
             )
     return SingleEnv(config_by_id(env_id, **{**options, **fixed}))
 

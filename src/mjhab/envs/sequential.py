@@ -13,7 +13,7 @@ from gymnasium.vector import VectorEnv
 
 from mjhab.config.env import DENSE_MODES, EnvConfig
 from mjhab.core.arrays import Array, may_hold
-from mjhab.core.errors import UsageError, shown
+from mjhab.core.errors import wrong_value
 from mjhab.core.joints import BASE_XY
 from mjhab.core.typed.checks import check
 from mjhab.core.typed.options import taken
@@ -128,8 +128,11 @@ class SequentialTaskEnv(TaskLoop, VectorEnv):
         listed = _listed(wanted) or []
         given = [index for index in map(_index, listed) if index is not None]
         if not len(given) == len(listed) == len(worlds):
-            need = f"options['episode'] must give {len(worlds)} indices >= 0, one per reset world"
-            raise UsageError(f"{need}; got {shown(wanted)}")
+            raise wrong_value(
+                "options['episode']",
+                wanted,
+                f"{len(worlds)} indices >= 0, one per reset world",
+            )
         indices = np.zeros(self.num_envs, np.int64)
         indices[worlds] = given
         return indices

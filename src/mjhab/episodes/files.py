@@ -12,7 +12,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from mjhab.core.errors import UsageError
+from mjhab.core.errors import fault
 from mjhab.core.files.cache import write_atomic
 from mjhab.core.files.outputs import naming_file
 from mjhab.core.files.reading import parse_json
@@ -135,7 +135,7 @@ def make_file(
         UsageError: ``out`` exists, or there is a partial file of another recipe.
     """
     if out.exists() and not overwrite:
-        raise UsageError(f"{out} exists; add --overwrite, or choose another --out.")
+        raise fault(out, "exists; add --overwrite, or choose another --out.")
     factory = Factory(recipe)
     header = {"format": FORMAT, **asdict(recipe), "pack": factory.maker.digest}
     header |= stage_of(recipe.assets)
@@ -191,9 +191,10 @@ def _resume(
                 break
             rows.append(FinishedEpisode(**found))
     elif lines and not overwrite:
-        raise UsageError(
-            f"{partial} was left by a run with other options, assets or code; finish that run, delete the file, or "
-            "add --overwrite."
+        raise fault(
+            partial,
+            "was left by a run with other options, assets or code; finish that run, delete the file, or "
+            "add --overwrite.",
         )
     kept = [json.dumps(header), *(json.dumps(asdict(row)) for row in rows)]
     write_atomic(

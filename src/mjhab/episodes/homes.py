@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from fnmatch import fnmatchcase
 
-from mjhab.core.errors import UsageError, unknown_name
+from mjhab.core.errors import fault, unknown_name
 from mjhab.scenes.roles import require_roles
 from mjhab.scenes.spec import Home, Pack
 from mjhab.tasks.household.registry import TASKS
@@ -19,7 +19,7 @@ def homes_of(pack: Pack, split: str) -> list[Home]:
     """
     found = [home for home in pack.homes if home.split == split]
     if not found:
-        raise UsageError(f"pack {pack.name!r} has no home in split {split!r}")
+        raise fault(f"pack {pack.name!r}", f"has no home in split {split!r}.")
     return found
 
 

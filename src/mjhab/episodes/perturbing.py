@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from mjhab.config.perturbing import MAX_DRAWS, PERTURBATIONS, Drawn, called
-from mjhab.core.errors import UsageError
+from mjhab.core.errors import fault
 from mjhab.core.joints import BASE
 from mjhab.core.rotations import pose_inv, pose_mul
 from mjhab.episodes.episode import Episode
@@ -98,9 +98,9 @@ def _first(
             values, told = found
             values = np.asarray(values, np.float64)
             if values.shape != shape or not np.isfinite(values).all():
-                raise UsageError(
-                    f"{PERTURBATIONS.described(drawn.axis)}: {hook} must return finite numbers {shape}, got "
-                    f"{values.shape}."
+                raise fault(
+                    PERTURBATIONS.described(drawn.axis),
+                    f"{hook} must return finite numbers {shape}, got {values.shape}.",
                 )
             return values, {**told, "redrawn": attempt}
     return None, {"redrawn": MAX_DRAWS, "kept": True}

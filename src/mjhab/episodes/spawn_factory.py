@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from mjhab.config.env import EnvConfig, task_config
-from mjhab.core.errors import UsageError
+from mjhab.core.errors import fault, wrong_value
 from mjhab.core.files.cache import write_atomic
 from mjhab.episodes.episode import Episode
 from mjhab.episodes.generator import EpisodeMaker
@@ -129,9 +129,9 @@ def make_set(
             would be too large to be read.
     """
     if out.suffix != SPAWNS_SUFFIX:
-        raise UsageError(f"a spawn set ends with {SPAWNS_SUFFIX}, got {out}.")
+        raise wrong_value("out", str(out), f"a name that ends with {SPAWNS_SUFFIX}")
     if out.exists() and not overwrite:
-        raise UsageError(f"{out} exists; add --overwrite, or choose another --out.")
+        raise fault(out, "exists; add --overwrite, or choose another --out.")
     factory = SpawnFactory(recipe)
     header = factory.header()
     folder = partial_folder(out)
@@ -167,9 +167,10 @@ def _resume(folder: Path, header: dict[str, Any], overwrite: bool) -> None:
     text = json.dumps(header, sort_keys=True)
     if note.exists() and note.read_text(encoding="utf-8") != text:
         if not overwrite:
-            raise UsageError(
-                f"{folder} was left by a run with other options, assets or code; finish that run, delete the folder, "
-                "or add --overwrite."
+            raise fault(
+                folder,
+                "was left by a run with other options, assets or code; finish that run, delete the folder, "
+                "or add --overwrite.",
             )
         _clear(folder)
     folder.mkdir(parents=True, exist_ok=True)

@@ -28,7 +28,7 @@ from typing import Any
 import numpy as np
 
 from mjhab.config.env import EnvConfig
-from mjhab.core.errors import UsageError, about
+from mjhab.core.errors import UsageError, about, fault
 from mjhab.core.files.arrays import open_arrays
 from mjhab.core.files.cache import write_atomic
 from mjhab.core.files.reading import is_file, parse_json
@@ -385,9 +385,10 @@ class SpawnSet:
         made_for = found.recipe.robot
         robot = layout.robot.name
         if made_for != robot:
-            raise UsageError(
-                f"{path} holds starts of robot {made_for!r}, the environment has robot {robot!r}. Set "
-                f"robot={made_for!r}, or make a set with `mjhab spawns make --robot {robot}`."
+            raise fault(
+                path,
+                f"holds starts of robot {made_for!r}, the environment has robot {robot!r}. Set "
+                f"robot={made_for!r}, or make a set with `mjhab spawns make --robot {robot}`.",
             )
         here = layout_digest(layout)
         if found.header["layout"] != here:
@@ -396,14 +397,15 @@ class SpawnSet:
                 f"pack {found.header['pack']!r}, mjhab {versions.get('mjhab', 'unknown')}"
             )
             theirs = f"{found.header['layout']} ({made})"
-            raise UsageError(
-                f"{path} was made for layout {theirs}; this is layout {here} (pack {layout.pack.name!r}, mjhab "
+            raise fault(
+                path,
+                f"was made for layout {theirs}; this is layout {here} (pack {layout.pack.name!r}, mjhab "
                 f"{__version__}): homes, objects or the code that compiles them differ. Make it again with `mjhab "
-                "spawns make`, or open the assets it was made for."
+                "spawns make`, or open the assets it was made for.",
             )
         wrong = _misfit(found.columns, layout)
         if wrong:
-            raise UsageError(f"{path} does not fit its layout: {wrong}. Make it again.")
+            raise fault(path, f"does not fit its layout: {wrong}. Make it again.")
         return found
 
     def __len__(self) -> int:
@@ -469,9 +471,10 @@ class SpawnSet:
             made = getattr(self.recipe, name)
             wanted = getattr(config, name)
             if made != wanted:
-                raise UsageError(
-                    f"{self.path} holds starts with {name} {made!r}, the environment has {name} {wanted!r}. Set "
-                    f"{name}={made!r}, or make a set with `mjhab spawns make`."
+                raise fault(
+                    self.path,
+                    f"holds starts with {name} {made!r}, the environment has {name} {wanted!r}. Set "
+                    f"{name}={made!r}, or make a set with `mjhab spawns make`.",
                 )
 
     def number(self, index: int) -> int:

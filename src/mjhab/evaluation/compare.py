@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from mjhab.config.env import EnvConfig
-from mjhab.core.errors import UsageError, shown
+from mjhab.core.errors import UsageError, fault, shown
 from mjhab.core.files.reading import read_json_object
 from mjhab.core.files.run_folder import CONFIG, write_text
 from mjhab.core.typed.bounds import Bound, Output
@@ -219,7 +219,7 @@ def write_page(path: Path, page: str) -> None:
 def _read(folder: Path, name: str) -> ComparedRun:
     records = read_records(folder)
     if not records:
-        raise UsageError(f"{folder} has no finished episode yet.")
+        raise fault(folder, "has no finished episode yet.")
     films = {
         record.index: folder / FILMS / f"episode_{record.index:05d}.mp4"
         for record in records

@@ -18,7 +18,7 @@ import numpy as np
 
 from mjhab.config.env import EnvConfig
 from mjhab.config.env_spec import env_names
-from mjhab.core.errors import UsageError, unknown_name
+from mjhab.core.errors import unknown_name, wrong_value
 from mjhab.core.version import __version__
 from mjhab.evaluation.global_random import SeededGlobals
 from mjhab.evaluation.own_policy import OwnPolicy
@@ -263,9 +263,12 @@ def env_options(spec: EvalSpec, facts: PolicyFacts) -> dict[str, Any]:
     check_env_options(facts.env_options)
     asked = spec.env.get("robot", facts.robot)
     if facts.robot and asked != facts.robot:
-        raise UsageError(
-            f"the policy {facts.name} was trained with robot {facts.robot!r}; leave out --robot (got {asked!r}), or "
-            f"train a policy with it: mjhab train ALGORITHM --robot {asked}"
+        raise wrong_value(
+            "robot",
+            asked,
+            repr(facts.robot),
+            f"Leave out --robot, or train a policy with it: mjhab train ALGORITHM --robot {asked}",
+            f"policy {facts.name}",
         )
     return {**facts.env_options, **spec.env}
 
@@ -335,9 +338,7 @@ def read_alone(folders: Sequence[Path]) -> dict[tuple[str, str], float]:
     for folder in folders:
         found = read_records(folder)
         if not any(record.subtask for record in found):
-            raise UsageError(
-                f"--alone {folder}: this folder holds no run with --subtask."
-            )
+            raise wrong_value("alone", str(folder), "a folder with runs of --subtask")
         records += found
     return alone_rates(records)
 

@@ -16,7 +16,7 @@ from typing import Any
 
 from mjhab.assets.sources import licence_of
 from mjhab.config.env import EnvConfig
-from mjhab.core.errors import UsageError
+from mjhab.core.errors import fault, wrong_value
 from mjhab.core.machine import cores
 from mjhab.data.record import generation
 from mjhab.data.record.job import Job, Standing
@@ -260,9 +260,12 @@ def recorded_env_options(spec: GenerateSpec, facts: PolicyFacts) -> dict[str, An
     }
     for name in ("cameras", "camera_size"):
         if sees and name in needed and needed[name] != stored[name]:
-            raise UsageError(
-                f"the policy {facts.name} needs images with {name} = {needed[name]!r}, but {stored[name]!r} is to be "
-                f"stored. Store what the policy needs, or no images: `mjhab replay --render` renders others later."
+            raise wrong_value(
+                name,
+                stored[name],
+                repr(needed[name]),
+                "Store what the policy needs, or no images: `mjhab replay --render` renders others later.",
+                f"policy {facts.name}",
             )
     return {**needed, **stored}
 
@@ -301,7 +304,8 @@ def _check_sendable(policy: PolicyLike, name: str) -> None:
     try:
         pickle.dumps(policy)
     except Exception as error:
-        raise UsageError(
-            f"the policy {name} cannot be sent to worker processes ({error}); give FILE.py:CLASS or a class at the top "
-            "level of a module, or workers=0 to record the episodes in this process."
+        raise fault(
+            f"policy {name}",
+            f"cannot be sent to worker processes ({error}); give FILE.py:CLASS or a class at the top "
+            "level of a module, or workers=0 to record the episodes in this process.",
         ) from error

@@ -6,7 +6,7 @@ import inspect
 from collections.abc import Callable, Mapping
 from typing import Any, cast
 
-from mjhab.core.errors import UsageError
+from mjhab.core.errors import UsageError, fault, missing_field, wrong_type
 from mjhab.evaluation.resolve import OpenedPolicy, PolicyFacts, PolicyOptions
 from mjhab.rollout.policy import Policy, RolloutEnv
 
@@ -48,8 +48,8 @@ def check_policy(policy: Any, called: str) -> None:
     """
     check_methods(policy, called)
     if not isinstance(getattr(policy, "name", None), str):
-        raise UsageError(
-            f"the policy {called} has no name; give it one, as in: name = {called!r}."
+        raise missing_field(
+            "name", f"policy {called}", f"Give it one, as in: name = {called!r}."
         )
 
 
@@ -61,8 +61,8 @@ def env_options_of(policy: Any) -> Mapping[str, Any]:
     """
     options = getattr(policy, "env_options", {})
     if not isinstance(options, Mapping):
-        raise UsageError(
-            f"env_options of a policy must be a dict like {{'obs_mode': 'depth'}}, got {options!r}."
+        raise wrong_type(
+            "env_options", options, "a dict like {'obs_mode': 'depth'}", where="policy"
         )
     return dict(options)
 
@@ -77,9 +77,10 @@ def check_methods(policy: Any, called: str) -> None:
         method for method in METHODS if not callable(getattr(policy, method, None))
     ]
     if lacking:
-        raise UsageError(
-            f"the policy {called} has no {' and no '.join(lacking)}; it needs reset(mask) and act(obs, info), see "
-            "mjhab.rollout.policy.Policy."
+        raise fault(
+            f"policy {called}",
+            f"has no {' and no '.join(lacking)}; it needs reset(mask) and act(obs, info), see "
+            "mjhab.rollout.policy.Policy.",
         )
 
 

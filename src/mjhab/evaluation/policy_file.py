@@ -16,7 +16,7 @@ import traceback
 from pathlib import Path
 from types import ModuleType
 
-from mjhab.core.errors import UsageError, unknown_name
+from mjhab.core.errors import fault, unknown_name, wrong_value
 from mjhab.evaluation.own_policy import check_methods, construct_policy, env_options_of
 from mjhab.evaluation.resolve import OpenedPolicy, PolicyFacts, PolicyOptions
 from mjhab.rollout.policy import Policy, RolloutEnv
@@ -61,7 +61,7 @@ def _split(spec: str) -> tuple[Path, str]:
 def _load_class(spec: str) -> type:
     path, name = _split(spec)
     if not path.is_file():
-        raise UsageError(f"--policy {spec}: there is no file {path}.")
+        raise wrong_value("policy", spec, f"a file that exists, not {path}")
     module = _load_module(path)
     classes = {
         key: value for key, value in vars(module).items() if inspect.isclass(value)
@@ -73,13 +73,11 @@ def _load_class(spec: str) -> type:
     ]
     if not name:
         found = ", ".join(f"{path}:{key}" for key in own) or f"{path}:MyPolicy"
-        raise UsageError(f"--policy {spec}: say which class of the file, as in {found}.")
+        raise wrong_value("policy", spec, f"one class of the file, as in {found}")
     if name not in classes:
         if not own:
-            raise UsageError(f"{path} has no class {name!r}; it defines no class at all.")
-        raise UsageError(
-            f"{path} has no class {name!r}. {unknown_name('class', name, own)}"
-        )
+            raise fault(path, f"has no class {name!r}; it defines no class at all.")
+        raise unknown_name("class", name, own, where=path)
     check_methods(classes[name], name)
     return classes[name]
 
@@ -95,7 +93,7 @@ def _load_module(path: Path) -> ModuleType:
         return sys.modules[name]
     spec = importlib.util.spec_from_file_location(name, path)
     if spec is None or spec.loader is None:
-        raise UsageError(f"{path} is not a Python file.")
+        raise fault(path, "not a Python file.")
     folder = str(path.resolve().parent)
     if folder not in sys.path:
         sys.path.insert(0, folder)
@@ -107,7 +105,7 @@ def _load_module(path: Path) -> ModuleType:
     except (Exception, SystemExit) as error:
         del sys.modules[name]
         what = f"{type(error).__name__}: {error}{_line_of(error, path)}"
-        raise UsageError(f"{path} cannot be imported: {what}.") from error
+        raise fault(path, f"cannot be imported: {what}.") from error
     return module
 
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from mjhab.config.env import EnvConfig
 from mjhab.core.conventions.names import UNWRAPPED
-from mjhab.core.errors import UsageError, unknown_name
+from mjhab.core.errors import fault, missing_field, unknown_name
 from mjhab.data.record.provenance import TRAIN_MAKER
 from mjhab.data.store.episode_data import RunInfo
 from mjhab.scenes.pack_source import pack_request
@@ -32,9 +32,8 @@ def recorded_env(run: RunInfo, **options: Any) -> SequentialTaskEnv:
     # Shards store lists, configurations need tuples.
     recorded = run.config.get("env")
     if recorded is None:
-        raise UsageError(
-            "the episodes do not say in which environment they were recorded (config has no env), so they cannot be "
-            "simulated again."
+        raise missing_field(
+            "env", "config of the episodes", "Without it they cannot be simulated again."
         )
     config: dict[str, Any] = {
         key: tuple(v) if isinstance(v, list) else v for key, v in recorded.items()
@@ -52,8 +51,9 @@ def recorded_env(run: RunInfo, **options: Any) -> SequentialTaskEnv:
     for name in ("episodes_file", "spawns"):
         missing = Path(str(config.get(name) or "."))
         if not missing.exists():
-            raise UsageError(
-                f"the episodes were recorded with the file {missing} ({name}), which does not exist."
+            raise fault(
+                missing,
+                f"does not exist; the episodes were recorded with this file ({name}).",
             )
     build = make_train if run.config.get("maker") == TRAIN_MAKER else make
     return build(**config, **options, autoreset="disabled")

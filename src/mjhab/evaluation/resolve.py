@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, cast
 
-from mjhab.core.errors import UsageError, unknown_name
+from mjhab.core.errors import UsageError, fault, unknown_name, wrong_value
 from mjhab.core.files.reading import is_folder
 from mjhab.rollout.policy import Policy, RolloutEnv
 from mjhab.tasks.style import Styles
@@ -140,7 +140,11 @@ class OpenedPolicy(ABC):
             UsageError: there are some.
         """
         if options.style:
-            raise UsageError(f"only the policy expert has a style; {self.spec} has none.")
+            raise wrong_value(
+                "style",
+                tuple(options.style),
+                f"left out: only the policy expert has one, not {self.spec}",
+            )
 
 
 @dataclass(frozen=True)
@@ -251,9 +255,10 @@ def resolve_policy(
 
 def no_instruction(policy: str) -> UsageError:
     """Make the error for a policy that is told a sentence which it cannot read."""
-    return UsageError(
-        f"the policy {policy} takes no instruction. A student does that was trained with sentences (mjhab train ... "
-        "--set inputs.sentence=true), and so does a served policy (ws://HOST:PORT)."
+    return fault(
+        f"policy {policy}",
+        "takes no instruction. A student does that was trained with sentences (mjhab train ... "
+        "--set inputs.sentence=true), and so does a served policy (ws://HOST:PORT).",
     )
 
 
@@ -264,7 +269,11 @@ def check_style(policy: object, style: Sequence[str]) -> None:
         UsageError: an option is unknown or out of range, or the policy is not the expert, which alone has a style.
     """
     if style and policy != EXPERT:
-        raise UsageError("only the policy expert has a style.")
+        raise wrong_value(
+            "style",
+            tuple(style),
+            f"left out: only the policy expert has one, not {policy}",
+        )
     Styles.parse(style)
 
 
@@ -295,6 +304,5 @@ def _kind_of(spec: str) -> PolicyKind:
         if kind.matches(spec):
             return kind
     forms = ", ".join(kind.form for kind in POLICY_KINDS[2:])
-    raise UsageError(
-        f"{unknown_name('policy', spec, (*NAMED_POLICIES, LEARNED))} Or a policy of your own: {forms}."
-    )
+    advice = f"Or a policy of your own: {forms}."
+    raise unknown_name("policy", spec, (*NAMED_POLICIES, LEARNED), advice=advice)

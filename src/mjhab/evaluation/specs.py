@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 from mjhab.config.env import EnvConfig
 from mjhab.config.env_spec import EnvSpec
-from mjhab.core.errors import UsageError, unknown_name
+from mjhab.core.errors import missing_field, unknown_name, wrong_value
 from mjhab.core.typed.bounds import Bound, Output
 from mjhab.core.typed.flags import Flag, OptionsOf
 from mjhab.core.typed.options import fitting, taken
@@ -104,12 +104,16 @@ class EvalSpec(EnvSpec):
         asked = self.asked
         check_style(self.policy, self.style)
         if asked.target and not asked.subtask:
-            raise UsageError(
-                "a target needs a subtask: a whole task has its targets in its plan."
+            raise wrong_value(
+                "target",
+                asked.target,
+                "left out without a subtask: a whole task has its targets in its plan",
             )
         if self.instruction and not asked.subtask:
-            raise UsageError(
-                "an instruction needs a subtask: in a whole task every subtask has a sentence of its own."
+            raise wrong_value(
+                "instruction",
+                self.instruction,
+                "left out without a subtask: in a whole task every subtask has a sentence of its own",
             )
         object.__setattr__(self, "policy", named_policy(self.policy, asked, self.served))
 
@@ -207,9 +211,9 @@ class GenerateSpec(EnvSpec):
         if self.cameras is None:
             object.__setattr__(self, "cameras", robot.camera_names)
         if self.episodes is None and not self.per_target:
-            raise UsageError(
-                "the number of episodes is missing: give per_target (episodes to keep per target) or episodes "
-                "(episodes to try)."
+            raise missing_field(
+                "episodes",
+                advice="Give per_target (episodes to keep per target) or episodes (episodes to try).",
             )
         self.as_evaluation()
         self.filter()

@@ -9,7 +9,7 @@ from typing import Any, cast
 import numpy as np
 
 from mjhab.core.action_notes import ActionNotes
-from mjhab.core.errors import UsageError
+from mjhab.core.errors import UsageError, fault
 from mjhab.core.registration.plugins import raised_text, resolved
 from mjhab.core.seeding import stream
 from mjhab.envs.parts.world_view import WorldView
@@ -46,18 +46,20 @@ def script_of(subtask: str) -> Callable[[WorldView], Script]:
     """
     expert = SUBTASKS[subtask].expert
     if expert is None:
-        raise UsageError(
-            f"no expert can do the subtask {subtask!r}: its SubtaskSpec names none. Take another policy."
+        raise fault(
+            f"subtask {subtask!r}",
+            "no expert can do it: its SubtaskSpec names none. Take another policy.",
         )
     where = f"{SUBTASKS.described(subtask)}: expert"
     try:
         script = resolved(expert)
     except UsageError as error:
-        raise UsageError(f"{where}: {error}") from error
+        raise fault(where, str(error)) from error
     if not callable(script):
-        raise UsageError(
-            f"{where} must be a generator function from a WorldView to actions, or a reference 'module:NAME' to one; "
-            f"got {type(script).__name__}."
+        raise fault(
+            where,
+            "must be a generator function from a WorldView to actions, or a reference 'module:NAME' to one; "
+            f"got {type(script).__name__}.",
         )
     return cast("Callable[[WorldView], Script]", script)
 
@@ -77,8 +79,9 @@ def _blamed(subtask: str) -> Iterator[None]:
         if SUBTASKS.is_builtin(subtask):
             error.add_note(f"The expert of {subtask!r} raised this{where}.")
             raise
-        raise UsageError(
-            f"the expert of {SUBTASKS.described(subtask)} raised {raised_text(error)}{where}."
+        raise fault(
+            f"expert of {SUBTASKS.described(subtask)}",
+            f"raised {raised_text(error)}{where}.",
         ) from error
 
 
@@ -198,9 +201,10 @@ class ExpertPolicy:
         with _blamed(subtask.name):
             begun = script(view)
         if not isinstance(begun, Iterator):
-            raise UsageError(
-                f"the expert of {SUBTASKS.described(subtask.name)} must be a generator function, which yields actions; "
-                f"it returned {type(begun).__name__}."
+            raise fault(
+                f"expert of {SUBTASKS.described(subtask.name)}",
+                "must be a generator function, which yields actions; "
+                f"it returned {type(begun).__name__}.",
             )
         return begun
 

@@ -7,7 +7,7 @@ from typing import Any
 import torch
 from gymnasium.vector import AutoresetMode, VectorEnv
 
-from mjhab.core.errors import UsageError
+from mjhab.core.errors import wrong_value
 from mjhab.core.libraries import missing_library
 from mjhab.core.machine import pip_install
 from mjhab.integrations.tensors import observation_tensors
@@ -83,7 +83,6 @@ def to_rsl_rl(env: VectorEnv) -> Any:
 
 def _require_own_resets(env: VectorEnv) -> None:
     """Refuse environments whose worlds do not begin a new episode in the step that ends one."""
-    if env.metadata.get("autoreset_mode") != AutoresetMode.SAME_STEP:
-        raise UsageError(
-            "rsl_rl needs an environment that resets itself; make it with autoreset='same_step'."
-        )
+    mode = env.metadata.get("autoreset_mode")
+    if mode != AutoresetMode.SAME_STEP:
+        raise wrong_value("autoreset", mode, "'same_step' for rsl_rl")

@@ -9,7 +9,7 @@ import numpy as np
 from gymnasium import spaces
 from gymnasium.vector import AutoresetMode, VectorEnv
 
-from mjhab.core.errors import UsageError, fault, unknown_name
+from mjhab.core.errors import UsageError, fault, unknown_name, wrong_value
 from mjhab.core.libraries import missing_library
 from mjhab.core.machine import pip_install
 from mjhab.envs.observations.modes import image_output
@@ -57,10 +57,9 @@ def to_sb3(
         raise missing_library(
             "to_sb3", ("stable-baselines3",), pip_install("stable-baselines3")
         ) from error
-    if env.metadata.get("autoreset_mode") != AutoresetMode.SAME_STEP:
-        raise UsageError(
-            "stable-baselines3 needs an environment that resets itself; make it with autoreset='same_step'."
-        )
+    mode = env.metadata.get("autoreset_mode")
+    if mode != AutoresetMode.SAME_STEP:
+        raise wrong_value("autoreset", mode, "'same_step' for stable-baselines3")
     known: Any = env.single_observation_space
     for key in keys:
         if key not in known.spaces:

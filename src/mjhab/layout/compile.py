@@ -8,7 +8,7 @@ from pathlib import Path
 import mujoco
 
 from mjhab.core.arithmetic.digest import arithmetic_digest
-from mjhab.core.errors import UsageError
+from mjhab.core.errors import fault
 from mjhab.core.files.cache import cache_dir, read_cached, write_cached
 from mjhab.core.files.code_digest import code_digest
 from mjhab.core.names import below
@@ -79,7 +79,7 @@ def compile_home(layout: Layout, home: Home) -> mujoco.MjModel:
                 give_stopped_weight(model, pieces, layout.stopped_links)
         except ValueError as error:
             reason = ", ".join(str(error).splitlines())
-            raise UsageError(f"home {home.name!r} does not compile: {reason}") from error
+            raise fault(f"home {home.name!r}", f"does not compile: {reason}") from error
         # Saving drops the signature of a freshly compiled model: loading from the file makes all models equal.
         found = _load(
             write_cached(path, lambda file: mujoco.mj_saveModel(model, str(file), None))

@@ -18,7 +18,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from mjhab.core.errors import UsageError
+from mjhab.core.errors import fault
 from mjhab.core.names import kind_of
 from mjhab.evaluation.evaluate import close_policy
 from mjhab.evaluation.resolve import (
@@ -119,8 +119,9 @@ class PoliciesTogether(OpenedPolicy):
         for subtask in wanted:
             teleports = SUBTASKS[subtask].navigates and config.navigate == "teleport"
             if subtask not in having and not teleports:
-                raise UsageError(
-                    f"{self.spec} has no policy for {subtask}; it has some for {sorted(having)}."
+                raise fault(
+                    self.spec,
+                    f"has no policy for {subtask}; it has some for {sorted(having)}.",
                 )
         policies = [_built(one, env, options) for one in opened]
         width = len(cast(Any, env).action_table)

@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
-from mjhab.core.errors import UsageError, unknown_name
+from mjhab.core.errors import unknown_name, wrong_value
 from mjhab.core.typed.bounds import Bound
 from mjhab.core.typed.flags import mark_of
 from mjhab.learning.configs import ImitationConfig
@@ -109,9 +109,7 @@ def _split(word: str, known: Mapping[str, Any]) -> tuple[str, str]:
     """Name and value of NAME=VALUE."""
     name, sign, text = word.partition("=")
     if not sign:
-        raise UsageError(
-            f"--set takes NAME=VALUE, for instance inputs.image_size=64; got {word!r}."
-        )
+        raise wrong_value("set", word, "NAME=VALUE, for instance inputs.image_size=64")
     if name not in known:
         raise unknown_name("field of the preset", name, known)
     return name, text
@@ -141,19 +139,19 @@ def _read(name: str, text: str, like: Any, bound: Bound | None) -> Any:
     if isinstance(like, tuple):
         items = [item for item in text.split(",") if item]
         if not items and (bound is None or not bound.empty):
-            raise UsageError(f"--set {name}: give at least one value.")
+            raise wrong_value(f"--set {name}", text, "at least one value")
         return tuple(
             _read(name, item, like[0], bound) if like else item for item in items
         )
     if isinstance(like, bool):
         if text not in TRUTH:
-            raise UsageError(f"--set {name}: {text!r} is neither true nor false.")
+            raise wrong_value(f"--set {name}", text, ("true", "false"))
         return TRUTH[text]
     try:
         value = type(like)(text)
     except ValueError as error:
-        raise UsageError(
-            f"--set {name}: {text!r} is no {type(like).__name__}."
+        raise wrong_value(
+            f"--set {name}", text, f"of type {type(like).__name__}"
         ) from error
     _check(f"--set {name}", value, bound)
     known = _words(name)
@@ -174,7 +172,7 @@ def _check(label: str, value: Any, bound: Bound | None) -> None:
     least = usual if bound is None else bound.least
     # Whole numbers of any size are finite; math.isfinite would not take large ones.
     if not (least <= value < math.inf and value > -math.inf):
-        raise UsageError(f"{label} must be at least {least}, and finite; got {value}.")
+        raise wrong_value(label, value, f"at least {least}, and finite")
 
 
 def _words(name: str) -> tuple[str, ...]:

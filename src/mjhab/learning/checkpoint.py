@@ -17,7 +17,7 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 from torch import Tensor
 
-from mjhab.core.errors import UsageError
+from mjhab.core.errors import UsageError, fault
 from mjhab.core.files.cache import write_atomic
 from mjhab.core.files.reading import is_file, parse_json, reason
 from mjhab.core.typed.options import read_record
@@ -80,22 +80,18 @@ def load_checkpoint(path: Path) -> Checkpoint:
         UsageError: the file does not exist, is not such a checkpoint, or holds numbers that are not finite.
     """
     if not is_file(path):
-        raise UsageError(
-            f"{path} does not exist; give a checkpoint (*{SUFFIX}) of `mjhab train`."
+        raise fault(
+            path, f"does not exist; give a checkpoint (*{SUFFIX}) of `mjhab train`."
         )
     try:
         with safe_open(path, "pt") as file:
             head = parse_json((file.metadata() or {}).get(_HEAD, "{}"))
             if not isinstance(head, dict) or head.get("format") != FORMAT:
-                raise UsageError(
-                    f"{path} is not a checkpoint of `mjhab train` (format {FORMAT})."
-                )
+                raise fault(path, f"not a checkpoint of `mjhab train` (format {FORMAT}).")
             stored = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (not a dict)
             tensors = expanded(stored)
     except (SafetensorError, ValueError, OSError, RuntimeError) as error:
-        raise UsageError(
-            f"{path} cannot be read as a checkpoint: {reason(error)}."
-        ) from error
+        raise fault(path, f"cannot be read as a checkpoint: {reason(error)}.") from error
     try:
         described = {
             name: read_record(dict[str, Any], head.get(name), name)
@@ -105,11 +101,9 @@ def load_checkpoint(path: Path) -> Checkpoint:
         layout = ObservationSpec.from_plain(config.inputs, described["layout"])
         about = read_record(dict[str, Any], head.get("about", {}), "about")
     except UsageError as error:
-        raise UsageError(f"{path}: {error}") from error
+        raise fault(path, str(error)) from error
     except ValueError as error:
-        raise UsageError(
-            f"{path} is damaged: its header is no student's ({error})"
-        ) from error
+        raise fault(path, f"damaged: its header is no student's ({error})") from error
     check_finite(path, tensors)
     return Checkpoint(config, layout, about, tensors)
 
@@ -134,8 +128,8 @@ def student_of(path: Path, saved: Checkpoint) -> Student:
         UsageError: the file is a training file or holds the weights of another network.
     """
     if _described_shapes(path, saved) != _shapes(saved.tensors):
-        raise UsageError(
-            f"{path} does not hold the weights of a student alone. {_remedy(path)}"
+        raise fault(
+            path, f"does not hold the weights of a student alone. {_remedy(path)}"
         )
     student = make_student(saved.config, saved.layout)
     student.load_state_dict(dict(saved.tensors))
@@ -159,8 +153,8 @@ def _described_shapes(path: Path, saved: Checkpoint) -> dict[str, tuple[int, ...
         AssertionError,
         ArithmeticError,
     ) as error:
-        raise UsageError(
-            f"{path} is damaged: it describes no network ({reason(error)})."
+        raise fault(
+            path, f"damaged: it describes no network ({reason(error)})."
         ) from error
 
 
@@ -188,7 +182,7 @@ def saved_state(path: Path, about: Mapping[str, Any], kind: type[State]) -> Stat
             kind, {name: about[name] for name in known & set(about)}, "about"
         )
     except ValueError as error:
-        raise UsageError(f"{path} is damaged: {error}") from error
+        raise fault(path, f"damaged: {error}") from error
 
 
 @contextmanager
@@ -203,8 +197,9 @@ def restoring(path: Path) -> Iterator[None]:
     except torch.OutOfMemoryError:
         raise
     except (KeyError, ValueError, TypeError, RuntimeError) as error:
-        raise UsageError(
-            f"{path} does not hold the state of this run ({reason(error)}); begin a new run."
+        raise fault(
+            path,
+            f"does not hold the state of this run ({reason(error)}); begin a new run.",
         ) from error
 
 
@@ -248,7 +243,8 @@ def check_finite(path: Path, tensors: Mapping[str, Tensor]) -> None:
     for name, tensor in tensors.items():
         wrong = int((~tensor.isfinite()).sum())
         if wrong:
-            raise UsageError(
-                f"{path} cannot act: {wrong:,} of the {tensor.numel():,} numbers of its tensor {name} are not finite "
-                "(NaN or infinite). Give another checkpoint, such as one from before the training diverged."
+            raise fault(
+                path,
+                f"cannot act: {wrong:,} of the {tensor.numel():,} numbers of its tensor {name} are not finite "
+                "(NaN or infinite). Give another checkpoint, such as one from before the training diverged.",
             )

@@ -12,8 +12,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Annotated, Any, TypeVar
 
-from mjhab.core.errors import UsageError, shown, unknown_name
+from mjhab.core.errors import UsageError, shown, unknown_name, wrong_value
 from mjhab.core.typed.bounds import Bound
+from mjhab.core.typed.checks import check, check_between
 from mjhab.core.typed.options import read_record
 from mjhab.robots.registry import robot_named
 
@@ -70,9 +71,11 @@ class InputConfig:
 
     def __post_init__(self) -> None:
         if self.cameras and not (self.whole_views or self.target_views):
-            raise UsageError(
-                f"inputs.cameras names {', '.join(self.cameras)}, and neither inputs.whole_views nor "
-                "inputs.target_views is on; switch one on, or give no cameras."
+            raise wrong_value(
+                "inputs.cameras",
+                self.cameras,
+                "left out without inputs.whole_views and inputs.target_views",
+                "Or switch one of these on.",
             )
 
     def network_threads(self, threads: int) -> int:
@@ -107,9 +110,7 @@ class NetworkConfig:
 
     def __post_init__(self) -> None:
         if len(self.log_std) != 2 or not self.log_std[0] < self.log_std[1]:
-            raise UsageError(
-                f"network.log_std must be two rising numbers, got {shown(self.log_std)}."
-            )
+            raise wrong_value("network.log_std", self.log_std, "two rising numbers")
 
 
 @dataclass(frozen=True)
@@ -132,13 +133,10 @@ class OptimizerConfig:
 
     def __post_init__(self) -> None:
         if len(self.betas) != 2 or not all(0.0 <= beta < 1.0 for beta in self.betas):
-            raise UsageError(
-                f"optimizer.betas must be two numbers from 0 to below 1, got {shown(self.betas)}."
+            raise wrong_value(
+                "optimizer.betas", self.betas, "two numbers from 0 to below 1"
             )
-        if not 0.0 <= self.ema < 1.0:
-            raise UsageError(
-                f"optimizer.ema must be at least 0 and below 1, got {self.ema}."
-            )
+        check(0.0 <= self.ema < 1.0, "optimizer.ema", self.ema, "at least 0 and below 1")
 
 
 @dataclass(frozen=True)
@@ -171,13 +169,15 @@ class StudentConfig:
     def __post_init__(self) -> None:
         if self.algorithm not in HEADS:
             raise unknown_name("algorithm", self.algorithm, HEADS)
-        if not 1 <= self.execute <= self.chunk:
-            raise UsageError(
-                f"execute must be from 1 to chunk ({self.chunk}), got {self.execute}."
-            )
+        check(
+            1 <= self.execute <= self.chunk,
+            "execute",
+            self.execute,
+            f"from 1 to chunk ({self.chunk})",
+        )
         if self.algorithm in (FLOW, DIFFUSION) and self.sampling_steps < 1:
-            raise UsageError(
-                f"sampling_steps of {self.algorithm} must be at least 1, got {self.sampling_steps}."
+            raise wrong_value(
+                "sampling_steps", self.sampling_steps, f"at least 1 for {self.algorithm}"
             )
 
 
@@ -205,10 +205,7 @@ class DaggerConfig:
     final_updates: FromZero = 0
 
     def __post_init__(self) -> None:
-        if not 0.0 <= self.new_share <= 1.0:
-            raise UsageError(
-                f"dagger.new_share must lie between 0 and 1, got {self.new_share}."
-            )
+        check_between("dagger.new_share", self.new_share, 0.0, 1.0)
 
     def longest_prefix(self, round_number: int) -> int:
         """Largest number of control steps for which the student acts in a round; 0 in round 0."""

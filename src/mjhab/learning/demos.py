@@ -15,7 +15,7 @@ import numpy as np
 import torch
 
 from mjhab.core.arrays import Array
-from mjhab.core.errors import UsageError
+from mjhab.core.errors import UsageError, fault
 from mjhab.core.names import kind_of
 from mjhab.data.select.query import Filter
 from mjhab.data.select.sets import first_of_targets, select
@@ -204,9 +204,10 @@ def entries_of(
     if "actions" not in episode.run.layout:
         missing.append("the names of the actions")
     if missing:
-        raise UsageError(
-            f"episode {episode.name} of {episode.shard.path} does not say {', '.join(missing)}, so nothing can be "
-            "trained on it; import its source again, into another folder: mjhab data import ms_hab FILE.h5 --out DIR"
+        raise fault(
+            f"episode {episode.name} of {episode.shard.path}",
+            f"does not say {', '.join(missing)}, so nothing can be "
+            "trained on it; import its source again, into another folder: mjhab data import ms_hab FILE.h5 --out DIR",
         )
     control = (env["control_mode"], env["base"], *env["stationary"])
     actions = tuple(str(name) for name in episode.run.layout["actions"])
@@ -256,6 +257,7 @@ def _check_layout(episode: RecordedEpisode, layout: ObservationSpec) -> None:
     if profile != layout.profile:
         wrong.append(f"profile {profile} instead of {layout.profile}")
     if wrong:
-        raise UsageError(
-            f"episode {episode.name} of {episode.shard.path} does not fit the student: {'; '.join(wrong)}."
+        raise fault(
+            f"episode {episode.name} of {episode.shard.path}",
+            f"does not fit the student: {'; '.join(wrong)}.",
         )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from mjhab.core.errors import UsageError
+from mjhab.core.errors import unknown_name
 
 CPU = "cpu"
 AUTO = "auto"
@@ -25,9 +25,7 @@ def training_device(name: str) -> torch.device:
         return torch.device(CPU)
     full = "cuda:0" if name == "cuda" else name
     if full not in found:
-        raise UsageError(
-            f"no device {name!r} to train on; valid names here: {', '.join([CPU, AUTO, *found])}."
-        )
+        raise unknown_name("device", name, [CPU, AUTO, *found])
     return torch.device(full)
 
 

@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from mjhab.core.arithmetic.sums import ordered_sum
-from mjhab.core.errors import MjhabError, UsageError
+from mjhab.core.errors import MjhabError, UsageError, fault
 from mjhab.core.files.reading import read_json_object
 from mjhab.core.files.run_folder import write_text
 from mjhab.core.machine import cores
@@ -50,7 +50,7 @@ def student_row(run: Path, evaluation: Path) -> dict[str, Any]:
     config = read_json(runs[0] / "config.json")
     judged = read_json(evaluation / "config.json")
     if judged.get("policy_sha256") not in _digests(runs):
-        raise UsageError(f"{evaluation} is not an evaluation of a checkpoint in {run}.")
+        raise fault(evaluation, f"not an evaluation of a checkpoint in {run}.")
     trained = [training(one) for one in runs]
     # The config of a reinforcement run is that of its student.
     student = config["config"].get("student", config["config"])
@@ -124,8 +124,9 @@ def read_json(path: Path) -> dict[str, Any]:
         UsageError: the file does not exist.
     """
     if not path.is_file():
-        raise UsageError(
-            f"{path} does not exist: give folders of `mjhab train` and `mjhab eval`, in turn."
+        raise fault(
+            path,
+            "does not exist: give folders of `mjhab train` and `mjhab eval`, in turn.",
         )
     return read_json_object(path)
 

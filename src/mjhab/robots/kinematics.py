@@ -25,7 +25,7 @@ from mjhab.core.arrays import (
     namespace,
     zeros,
 )
-from mjhab.core.errors import UsageError, unknown_name, wrong_value
+from mjhab.core.errors import fault, unknown_name, wrong_value
 from mjhab.core.rotations import IDENTITY_MATRIX
 
 
@@ -353,8 +353,9 @@ def _collect(link: str, rows: dict[str, TreeRow], into: list[Joint], root: str) 
 
 def _joint(row: TreeRow) -> Joint:
     if abs(abs(row.quat[0]) - 1.0) > 1e-9:
-        raise UsageError(
-            f"link {row.link!r} is turned against its parent at zero; such links cannot be in a chain"
+        raise fault(
+            f"link {row.link!r}",
+            "is turned against its parent at zero; such links cannot be in a chain",
         )
     if not row.joint:
         return Joint(row.link, "fixed", row.parent, row.link, row.origin)

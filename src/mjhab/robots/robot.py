@@ -13,7 +13,7 @@ from functools import cached_property
 
 import numpy as np
 
-from mjhab.core.errors import UsageError, shown, unknown_name, wrong_type
+from mjhab.core.errors import missing_field, shown, unknown_name, wrong_type
 from mjhab.core.joints import BASE, GROUPS, JointColumns
 from mjhab.core.typed.checks import check, check_one_of
 from mjhab.core.typed.options import fitting, take_types
@@ -277,9 +277,10 @@ class Robot:
         """
         missing = [group for group in groups if not self.group(group)]
         if missing:
-            raise UsageError(
-                f"robot {self.name!r} has no joint group {' and no '.join(map(repr, missing))}, which {purpose} needs; "
-                f"it has: {', '.join(g for g in GROUPS if self.group(g))}."
+            raise missing_field(
+                f"joint group {' and '.join(map(repr, missing))}",
+                f"robot {self.name!r}",
+                f"{purpose} needs it. The robot has: {', '.join(g for g in GROUPS if self.group(g))}.",
             )
 
     def columns_of(self, joints: Iterable[str]) -> tuple[int, ...]:

@@ -16,7 +16,7 @@ from gymnasium.vector import AutoresetMode
 
 from mjhab.core.action_notes import ActionNotes
 from mjhab.core.arithmetic.sums import ordered_sum
-from mjhab.core.errors import UsageError, wrong_value
+from mjhab.core.errors import UsageError, fault, wrong_type, wrong_value
 from mjhab.core.typed.checks import check
 from mjhab.rollout.indices import IndicesLeft
 from mjhab.rollout.policy import Annotated, Fallible, Policy, RolloutEnv, Styled
@@ -81,10 +81,12 @@ def _check_env(env: RolloutEnv) -> None:
     metadata = getattr(env, "metadata", {})
     mode = metadata.get("autoreset_mode", AutoresetMode.DISABLED)
     if mode is not AutoresetMode.DISABLED:
-        raise UsageError(
-            f"rollout needs an environment that leaves finished episodes alone, but this one has autoreset="
-            f"{mode.name.lower()!r}: the outcome of an episode would be lost. Make it with "
-            'mjhab.make(..., autoreset="disabled"), or call mjhab.evaluate(policy, task=...), which makes its own.'
+        raise wrong_value(
+            "autoreset",
+            mode.name.lower(),
+            "'disabled' for rollout, which would lose outcomes of episodes",
+            'Make it with mjhab.make(..., autoreset="disabled"), or call mjhab.evaluate(policy, task=...), '
+            "which makes its own.",
         )
     if not hasattr(env, "num_envs"):
         raise UsageError(
@@ -179,20 +181,22 @@ class _Rollout:
         try:
             actions = np.asarray(given, np.float32)
         except (TypeError, ValueError) as error:
-            raise UsageError(
-                f"policy {self.policy.name!r} must return numbers (W, A), got {type(given)}."
+            raise wrong_type(
+                "actions", given, "numbers (W, A)", where=f"policy {self.policy.name!r}"
             ) from error
         if actions.ndim != 2 or len(actions) != worlds:
-            raise UsageError(
-                f"policy {self.policy.name!r} must return actions (W, A) for W = {worlds} worlds, got {actions.shape}."
+            raise fault(
+                f"policy {self.policy.name!r}",
+                f"must return actions (W, A) for W = {worlds} worlds, got {actions.shape}.",
             )
         bad = self.active[:, None] & ~np.isfinite(actions)
         if bad.any():
             world, column = (int(k) for k in np.argwhere(bad)[0])
             index = self._trace(world).index
-            raise UsageError(
-                f"policy {self.policy.name!r} returned {actions[world, column]} in column {column} of its actions, in "
-                f"episode {index} after control step {self.steps[world]} (world {world}). Actions must be finite."
+            raise fault(
+                f"policy {self.policy.name!r}",
+                f"returned {actions[world, column]} in column {column} of its actions, in "
+                f"episode {index} after control step {self.steps[world]} (world {world}). Actions must be finite.",
             )
         return actions
 

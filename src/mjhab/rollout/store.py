@@ -16,7 +16,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from mjhab.core.errors import UsageError
+from mjhab.core.errors import UsageError, fault
 from mjhab.core.files.locking import WriteLock
 from mjhab.core.files.outputs import naming_file
 from mjhab.core.files.reading import parse_json, read_json_object, reason
@@ -153,13 +153,15 @@ def _check_same_run(record: EpisodeRecord, wanted: str, what: str) -> None:
     """Refuse a record of another config than the ``wanted`` one ("" for any). ``what``: the record, for messages."""
     again = "Run it again with --overwrite, or into another folder."
     if wanted and not record.config_hash:
-        raise UsageError(
-            f"{what} does not name its config (it has no config_hash), so it may come from another run. {again}"
+        raise fault(
+            what,
+            f"does not name its config (it has no config_hash), so it may come from another run. {again}",
         )
     if wanted and record.config_hash != wanted:
-        raise UsageError(
-            f"{what} comes from another run: its config has the hash {record.config_hash}, {CONFIG} beside it "
-            f"{wanted}. Two runs were written into one folder, or {CONFIG} was changed. {again}"
+        raise fault(
+            what,
+            f"comes from another run: its config has the hash {record.config_hash}, {CONFIG} beside it "
+            f"{wanted}. Two runs were written into one folder, or {CONFIG} was changed. {again}",
         )
 
 
@@ -171,8 +173,9 @@ def _check_records(records: Sequence[EpisodeRecord], wanted: str, path: Path) ->
             record, wanted, f"line {number} of {path} (episode {record.index})"
         )
         if record.index in seen:
-            raise UsageError(
-                f"line {number} of {path}: episode {record.index} is there twice. Run it again with --overwrite."
+            raise fault(
+                f"line {number} of {path}",
+                f"episode {record.index} is there twice. Run it again with --overwrite.",
             )
         seen.add(record.index)
 
@@ -194,8 +197,9 @@ def _read_file(path: Path) -> tuple[list[EpisodeRecord], int]:
         except ValueError as error:
             if line.endswith(b"\n"):
                 said = reason(error)
-                raise UsageError(
-                    f"line {number} of {path} is damaged ({said}). Start the run again with --overwrite."
+                raise fault(
+                    f"line {number} of {path}",
+                    f"is damaged ({said}). Start the run again with --overwrite.",
                 ) from error
             break
         kept.append(record)

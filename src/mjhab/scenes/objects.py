@@ -8,7 +8,7 @@ import weakref
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from mjhab.core.errors import UsageError, fault, wrong_type
+from mjhab.core.errors import fault, wrong_type
 from mjhab.core.names import check_texts
 from mjhab.core.registration.registry import Registry, check_item
 from mjhab.core.typed.checks import check
@@ -81,8 +81,9 @@ def register_object(model: ObjectModel) -> ObjectModel:
                 f"a geom names the mesh {geom.mesh!r}; given are: {', '.join(sorted(model.meshes)) or 'none'}.",
             )
     if not any(geom.collide for geom in kind.collision):
-        raise UsageError(
-            f"object {kind.name!r} has no collision geom: nothing could hold or touch it."
+        raise fault(
+            f"object {kind.name!r}",
+            "has no collision geom: nothing could hold or touch it.",
         )
     if kind.name in builtin_objects():
         raise fault(
@@ -117,9 +118,9 @@ def with_registered_objects(pack: Pack) -> Pack:
         taken = [name for name in (model.kind.name,) if name in objects]
         taken += [name for name in model.meshes if name in meshes]
         if taken:
-            raise UsageError(
-                f"the registered object {model.kind.name!r} and pack {pack.name!r} both have {taken[0]!r}; "
-                "register the object under another name."
+            raise fault(
+                f"registered object {model.kind.name!r}",
+                f"pack {pack.name!r} has {taken[0]!r}, too; register the object under another name.",
             )
         objects[model.kind.name] = model.kind
         meshes.update(model.meshes)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mjhab.core.errors import UsageError, about, fault
+from mjhab.core.errors import about, fault
 from mjhab.core.files.arrays import open_arrays
 from mjhab.core.files.cache import write_atomic
 from mjhab.core.files.reading import read_json_object
@@ -69,10 +69,11 @@ def load_pack(folder: Path) -> Pack:
     """
     for needed in (_JSON, _MESHES):
         if not (folder / needed).is_file():
-            raise UsageError(
-                f"asset folder '{folder}' has no {needed}; a pack folder must hold {_JSON} and {_MESHES} "
+            raise fault(
+                f"asset folder '{folder}'",
+                f"has no {needed}; a pack folder must hold {_JSON} and {_MESHES} "
                 "as written by mjhab.scenes.pack_folder.save_pack. It is no ReplicaCAD data set either (no "
-                "configs/scenes, configs/objects); `mjhab assets fetch replica_cad` gets one."
+                "configs/scenes, configs/objects); `mjhab assets fetch replica_cad` gets one.",
             )
     path = folder / _JSON
     body = read_json_object(path)

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
-from mjhab.core.errors import UsageError, about, fault, unknown_name, wrong_value
+from mjhab.core.errors import about, fault, unknown_name, wrong_value
 from mjhab.core.files.reading import beside
 from mjhab.core.names import check_name
 from mjhab.core.registration.registry import Registry, check_item
@@ -58,9 +58,7 @@ class PackRequest:
         kinds = (OWN_STAGE, STAND_IN, NO_STAGE)
         check_one_of("stage", self.stage or OWN_STAGE, kinds, where="assets")
         if self.stage == NO_STAGE and self.stage_mesh:
-            raise UsageError(
-                f"stage 'none' and stage_mesh {self.stage_mesh!r} exclude each other: leave out one of them."
-            )
+            raise wrong_value("stage_mesh", self.stage_mesh, "left out with stage 'none'")
 
     def __str__(self) -> str:
         """The place, and in brackets the options that differ from their defaults, for messages."""
@@ -263,7 +261,9 @@ def _check_options(source: PackSource, request: PackRequest) -> None:
         if name in {*source.options, *OF_ALL_PACKS}:
             continue
         taking = [other.name for other in PACK_SOURCES.values() if name in other.options]
-        raise UsageError(
-            f"{request.place!r} is a pack of kind {source.name!r}, which takes no option {name!r}; "
-            f"kinds that do: {', '.join(taking) or 'none'}."
+        raise wrong_value(
+            name,
+            getattr(request, name),
+            f"left out: {request.place!r} is a pack of kind {source.name!r}; kinds that take it: "
+            f"{', '.join(taking) or 'none'}",
         )

@@ -10,7 +10,7 @@ import os
 from collections import Counter
 from pathlib import Path
 
-from mjhab.core.errors import MjhabError, UsageError, fault, unknown_name
+from mjhab.core.errors import MjhabError, UsageError, fault, unknown_name, wrong_value
 from mjhab.core.registration import plugins
 from mjhab.core.registration.plugins import raised_text
 from mjhab.scenes.door_walls import with_door_walls
@@ -78,12 +78,13 @@ def _checked(pack: Pack, request: PackRequest) -> Pack:
         UsageError: it has none, or two of one name, of which only one could be found.
     """
     if not pack.homes:
-        raise UsageError(f"asset pack {request} has no homes.")
+        raise fault(f"asset pack {request}", "has no homes.")
     names = [home.name for home in pack.homes]
     for name, count in Counter(names).items():
         if count > 1:
-            raise UsageError(
-                f"asset pack {request} has {count} homes of the name {name!r}; give each one of its own."
+            raise fault(
+                f"asset pack {request}",
+                f"has {count} homes of the name {name!r}; give each one of its own.",
             )
     return pack
 
@@ -114,20 +115,15 @@ def _opened(source: PackSource, request: PackRequest) -> Pack:
 def _nothing_there(place: str) -> UsageError:
     """Error that says why no source opens a place."""
     if Path(place).exists():
-        return UsageError(
-            f"asset pack {place!r} is a file; expected the name of a pack ({', '.join(pack_names())}) or a folder "
-            "with pack.json and meshes.npz."
-        )
+        expected = f"the name of a pack ({', '.join(pack_names())}) or a folder with pack.json and meshes.npz"
+        return wrong_value("asset pack", place, expected, "It is a file.")
     if Path(place).suffix in HOME_SUFFIXES:
-        return UsageError(
-            f"home file {place!r} does not exist; expected a {' or '.join(HOME_SUFFIXES)} file with a home "
-            "(docs/extending.md, A new home)."
+        expected = f"a {' or '.join(HOME_SUFFIXES)} file with a home that exists"
+        return wrong_value(
+            "home file", place, expected, "See docs/extending.md, A new home."
         )
     if any(separator and separator in place for separator in (os.sep, os.altsep, "/")):
-        return UsageError(
-            f"asset folder {place!r} does not exist; expected the name of a pack ({', '.join(pack_names())}) or a "
-            "folder with pack.json."
-        )
-    return UsageError(
-        f"{unknown_name('asset pack', place, pack_names())}{plugins.failed_plugins()}"
-    )
+        expected = f"the name of a pack ({', '.join(pack_names())}) or a folder with pack.json that exists"
+        return wrong_value("asset folder", place, expected)
+    advice = plugins.failed_plugins()
+    return unknown_name("asset pack", place, pack_names(), advice=advice)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
-from mjhab.core.errors import UsageError
+from mjhab.core.errors import UsageError, fault
 from mjhab.scenes.spec import Articulation, Home, Pack, Prop, Receptacle, Roles
 
 OPEN_SURFACE = "open_surface"
@@ -104,9 +104,10 @@ def require_roles(
         else ""
     )
     known = ", ".join(sorted({*pack.roles.places, *pack.roles.links})) or "none"
-    raise UsageError(
-        f"{who} needs furniture with the role {role!r}, which these homes of pack {pack.name!r} lack: {shown}{more}. "
-        f"Choose other homes, or give a piece the role (roles of the pack: {known})."
+    raise fault(
+        who,
+        f"needs furniture with the role {role!r}, which these homes of pack {pack.name!r} lack: {shown}{more}. "
+        f"Choose other homes, or give a piece the role (roles of the pack: {known}).",
     )
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Annotated
 from urllib.parse import parse_qsl, urlencode, urlsplit, urlunsplit
 
-from mjhab.core.errors import UsageError, unknown_name
+from mjhab.core.errors import fault, unknown_name, wrong_value
 from mjhab.core.typed.bounds import Bound
 from mjhab.core.typed.checks import check, check_least
 from mjhab.core.typed.flags import Flag
@@ -19,6 +19,7 @@ PROMPTS = ("subtask", "task")
 TOKEN_VARIABLE = "MJHAB_POLICY_TOKEN"
 """Environment variable with the token that a server asks for, at both ends."""
 _CREDENTIALS = re.compile(r"(?<=://).*@")
+_FORM = "ws://host:port, as in ws://localhost:8000"
 
 
 @dataclass(frozen=True)
@@ -60,8 +61,10 @@ class Address:
             value = getattr(self, name)
             check(0.0 < value < float("inf"), name, value, "a number of seconds above 0")
         if self.batch and not dialect.batches:
-            raise UsageError(
-                f"the dialect {self.dialect} has no batches; leave batch away."
+            raise wrong_value(
+                "batch",
+                self.batch,
+                f"left out: the dialect {self.dialect} has no batches",
             )
 
     @classmethod
@@ -77,13 +80,9 @@ class Address:
             port = parts.port
         except ValueError:
             # What Python says may hold a part of a password.
-            raise UsageError(
-                f"--policy {given}: host or port cannot be read; write ws://host:port, as in ws://localhost:8000."
-            ) from None
+            raise wrong_value("policy", given, _FORM) from None
         if not spec.startswith(SCHEMES) or not parts.hostname or port is None:
-            raise UsageError(
-                f"--policy {given}: write ws://host:port, as in ws://localhost:8000."
-            )
+            raise wrong_value("policy", given, _FORM)
         values: dict[str, object] = {}
         for name, text in parse_qsl(parts.query, keep_blank_values=True):
             if name not in _READERS:
@@ -91,9 +90,7 @@ class Address:
             try:
                 values[name] = _READERS[name](text)
             except ValueError as error:
-                raise UsageError(
-                    f"--policy {given}: {name} cannot be {text!r}."
-                ) from error
+                raise wrong_value(name, text, "another text", where=given) from error
         uri = urlunsplit((parts.scheme, parts.netloc, parts.path, "", ""))
         return cls(uri, **values)  # type: ignore[arg-type]
 
@@ -123,9 +120,7 @@ def with_options(spec: str, options: Mapping[str, object]) -> str:
         return spec
     if not spec.startswith(SCHEMES):
         names = ", ".join(f"--{name.replace('_', '-')}" for name in options)
-        raise UsageError(
-            f"{names}: for a served policy, --policy ws://host:port; got {spec}."
-        )
+        raise fault(names, f"for a served policy, --policy ws://host:port; got {spec}.")
     parts = urlsplit(spec)
     given = dict(parse_qsl(parts.query))
     given.update({name: str(value) for name, value in options.items()})

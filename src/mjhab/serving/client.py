@@ -21,7 +21,7 @@ from websockets.exceptions import (
 )
 from websockets.sync.client import ClientConnection, connect
 
-from mjhab.core.errors import MjhabError, UsageError
+from mjhab.core.errors import MjhabError, UsageError, fault
 from mjhab.serving.address import TOKEN_VARIABLE, Address
 from mjhab.serving.dialects.dialect import OWN, RESET_DONE, Ask
 from mjhab.serving.dialects.names import answered_in, dialect_named, greeted_in
@@ -320,18 +320,20 @@ class Connection:
                 f"{address.shown} closed the connection at once: {error}."
             ) from error
         if isinstance(message, str):
-            raise UsageError(
-                f"{address.shown} does not speak {address.dialect}: it says {_said(message)}"
+            raise fault(
+                address.shown,
+                f"does not speak {address.dialect}: it says {_said(message)}",
             )
         try:
             metadata = unpack(message)
         except ProtocolError as error:
-            raise UsageError(
-                f"{address.shown} does not speak {address.dialect}: {error}."
+            raise fault(
+                address.shown, f"does not speak {address.dialect}: {error}."
             ) from error
         if not isinstance(metadata, Mapping):
-            raise UsageError(
-                f"{address.shown} greets with {metadata!r:.80}, not with a map of metadata."
+            raise fault(
+                address.shown,
+                f"greets with {metadata!r:.80}, not with a map of metadata.",
             )
         other = greeted_in(metadata)
         if other and other != address.dialect:

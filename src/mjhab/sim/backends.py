@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from mjhab.core.errors import UsageError, unknown_name
+from mjhab.core.errors import unknown_name, wrong_value
 from mjhab.core.libraries import check_imports, missing_libraries, require_libraries
 
 if TYPE_CHECKING:
@@ -47,8 +47,11 @@ def check_device(backend: str, device: str) -> None:
         UsageError: backend "cpu" was asked for another device than "" or "cpu".
     """
     if backend == "cpu" and device not in ("", "cpu"):
-        raise UsageError(
-            f"backend 'cpu' has no device {device!r}: leave device out, or take backend 'warp', which simulates on one."
+        raise wrong_value(
+            "device",
+            device,
+            "left out with backend 'cpu'",
+            "Backend 'warp' simulates on one.",
         )
 
 

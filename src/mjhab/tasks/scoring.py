@@ -29,8 +29,12 @@ def reward_table(kind: str) -> RewardTable:
     """
     table = SUBTASKS[kind].reward
     if table is None:
-        raise UsageError(
-            f"subtask {kind!r} has no dense reward; take reward_mode 'sparse', or give its SubtaskSpec a reward."
+        raise wrong_value(
+            "reward_mode",
+            "dense",
+            "'sparse'",
+            "Or give its SubtaskSpec a reward.",
+            f"subtask {kind!r}",
         )
     return table
 

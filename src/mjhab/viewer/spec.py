@@ -9,7 +9,7 @@ from typing import Annotated, Any, ClassVar
 
 from mjhab.config.env import EnvConfig
 from mjhab.config.env_spec import EnvSpec
-from mjhab.core.errors import UsageError
+from mjhab.core.errors import fault
 from mjhab.core.typed.bounds import Bound, Output
 from mjhab.core.typed.flags import Flag, OptionsOf, flag_of
 from mjhab.evaluation.specs import NOT_GENERATED, RUN_BY_EVALUATION, EvalSpec
@@ -85,11 +85,11 @@ class ViewSpec(EnvSpec):
         for name in self._without_effect():
             shown = f"--{name.replace('_', '-')}"
             if self.places:
-                raise UsageError(
-                    f"{shown} is for running worlds: leave out the shards to look at."
+                raise fault(
+                    shown, "is for running worlds: leave out the shards to look at."
                 )
-            raise UsageError(
-                f"{shown} is for recorded episodes: give a shard or a folder of them."
+            raise fault(
+                shown, "is for recorded episodes: give a shard or a folder of them."
             )
 
     def _without_effect(self) -> list[str]:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import csv
 import json
-import os
 import re
 import signal
 import subprocess
@@ -30,6 +29,7 @@ from mjhab.bench.specs import ExpertsSpec
 from mjhab.cli.main import main
 from mjhab.core.errors import MjhabError
 from mjhab.rollout.records import EpisodeRecord, PlanEntry
+from tests.refusals import command, refused
 
 COMMAND = (
     *("bench", "experts", "--task", "set_table", "--subtask", "close"),
@@ -59,11 +59,6 @@ FAILED = replace(
     force_to_success=None,
     completed=0,
 )
-
-
-def refused(capsys: pytest.CaptureFixture[str], *args: str) -> str:
-    assert main(["bench", "experts", *args]) == 2
-    return capsys.readouterr().err
 
 
 def table(out: Path) -> list[dict[str, str]]:
@@ -129,42 +124,41 @@ def test_two_rows_end_to_end(made: Path, capsys: pytest.CaptureFixture[str]) -> 
     assert list(told["success_once"].values()) == once
 
 
-@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])
-def test_a_stopped_run_goes_on_to_the_same_table(
-    made: Path, tmp_path: Path, number: signal.Signals
-) -> None:
-    out = tmp_path / "run"
-    command = [sys.executable, "-m", "mjhab.cli.main", *COMMAND, "--out", str(out)]
+def stopped(out: Path, number: signal.Signals, most: int, *more: str) -> tuple[int, Any]:
+    """Exit code and episodes by row of a run that gets a signal when it has more than ``most`` episodes."""
     process = subprocess.Popen(
-        command,
+        [sys.executable, "-m", "mjhab.cli.main", *COMMAND, "--out", str(out), *more],
         stderr=subprocess.DEVNULL,
         stdout=subprocess.DEVNULL,
-        env=dict(os.environ),
     )
     rows = make_rows(options := _options(out))
-    begun = False
-    while process.poll() is None and not begun:
+    count = 0
+    while process.poll() is None and count <= most:
         time.sleep(0.02)
         # The shard may be in the middle of being made.
         with contextlib.suppress(MjhabError):
-            begun = bool(bench_experts.read_row(options, rows[0]))
+            count = sum(len(bench_experts.read_row(options, row)) for row in rows)
     process.send_signal(number)
     code = process.wait(timeout=120)
-    before = [bench_experts.read_row(options, row) for row in rows]
-    assert before[0] and len(before[1]) < 2, "the run was to be stopped in the middle"
-    if number == signal.SIGTERM:
-        assert code == 130 and "Partial" in (out / "report.html").read_text(
-            encoding="utf-8"
-        )
+    return code, [bench_experts.read_row(options, row) for row in rows]
+
+
+def test_a_stopped_run_goes_on_to_the_same_table(made: Path, tmp_path: Path) -> None:
+    out = tmp_path / "run"
+    code, first = stopped(out, signal.SIGTERM, 0)
+    assert code == 130 and first[0] and not first[1], "it was to stop in the middle"
+    assert "Partial" in (out / "report.html").read_text(encoding="utf-8")
+    code, second = stopped(out, signal.SIGKILL, len(first[0]), "--resume")
+    assert code == -signal.SIGKILL and len(second[1]) < 2
     assert main([*COMMAND, "--out", str(out), "--resume"]) == 0
     assert (out / "table.csv").read_text() == (made / "table.csv").read_text()
     assert (out / "episodes.jsonl").read_text() == (made / "episodes.jsonl").read_text()
-    after = [bench_experts.read_row(options, row) for row in rows]
-    assert all(
-        episode in found
-        for kept, found in zip(before, after, strict=True)
-        for episode in kept
-    )
+    after = [
+        bench_experts.read_row(_options(out), row) for row in make_rows(_options(out))
+    ]
+    for kept in (first, second):
+        for before, found in zip(kept, after, strict=True):
+            assert all(episode in found for episode in before)
 
 
 def _options(out: Path) -> ExpertsSpec:
@@ -318,31 +312,35 @@ def test_force_counts_up_to_the_first_success() -> None:
     assert lost.force_to_success is None and not lost.gentle and lost.label == ""
 
 
-def test_bad_input_is_refused_before_anything_is_made(
-    made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_bad_input_is_refused_before_anything_is_made(made: Path, tmp_path: Path) -> None:
     out = ("--out", str(tmp_path / "new"))
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "notes.txt").write_text("mine")
-    for args, words in (
-        (("--task", "tidy", *out), "Did you mean 'tidy_house'"),
-        (("--subtask", "pick", "chian", *out), "Did you mean 'chain'"),
-        (("--target", "003_craker_box", *out), "Did you mean '003_cracker_box'"),
-        (("--navigate", "fly", *out), "navigate mode"),
-        (("--split", "vall", *out), "Did you mean 'val'"),
-        (("--assets", "builtin", "builtin", *out), "both 'builtin'"),
-        (("--assets", str(tmp_path / "absent"), *out), "does not exist"),
-        (("--episodes", "-1", *out), "episodes must be at least 0"),
-        (("--workers", "0", *out), "workers must be at least 1"),
-        (("--episodes", "0", "--chains", "0", *out), "nothing to measure"),
-        (("--subtask", "open", "--task", "tidy_house", *out), "nothing to measure"),
-        (("--out", str(made)), "Give --resume"),
+    other = tmp_path / "other"
+    told: dict[str, Any]
+    for args, told in (
+        (("--task", "tidy", *out), dict(expected="tidy_house")),
+        (("--subtask", "pick", "chian", *out), dict(expected="chain")),
+        (("--target", "003_craker_box", *out), dict(expected="003_cracker_box")),
+        (("--navigate", "fly", *out), dict(given="fly")),
+        (("--split", "vall", *out), dict(option="split", expected="val")),
+        (("--assets", "builtin", "builtin", *out), dict(said="both 'builtin'")),
+        (("--assets", str(tmp_path / "absent"), *out), dict(option="asset folder")),
+        (("--episodes", "-1", *out), dict(option="episodes", given=-1)),
+        (("--workers", "0", *out), dict(option="workers", given=0)),
+        (("--episodes", "0", "--chains", "0", *out), dict(said="nothing to measure")),
+        (
+            ("--subtask", "open", "--task", "tidy_house", *out),
+            dict(said="nothing to measure"),
+        ),
+        (("--out", str(made)), dict(option="out", advice="Give --resume")),
         (
             ("--out", str(made), "--resume", "--seed", "1"),
-            "started with seed = 0, now it is 1",
+            dict(said="started with seed = 0, now it is 1"),
         ),
-        (("--out", str(tmp_path / "other"), "--resume"), "nothing to resume"),
-        (("--out", str(tmp_path / "other" / "notes.txt")), "is a file"),
+        (("--out", str(other), "--resume"), dict(option="resume", given=str(other))),
+        (("--out", str(other / "notes.txt")), dict(expected="a folder, not a file")),
     ):
-        assert words in refused(capsys, *args), args
+        with refused(**told):
+            command("bench", "experts", *args)
     assert not (tmp_path / "new").exists()

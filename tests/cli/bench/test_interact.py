@@ -29,6 +29,7 @@ from mjhab.core.errors import UsageError
 from mjhab.reports.interact import interact_figure
 from mjhab.robots.controllers import make_controller
 from mjhab.scenes.packs import open_pack
+from tests.refusals import command, refused
 
 
 @pytest.fixture(scope="module")
@@ -131,19 +132,11 @@ def test_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Non
 
 
 @pytest.mark.parametrize(
-    ("args", "message"),
-    [
-        (["--backend", "gpu"], "unknown backend 'gpu'"),
-        (["--worlds", "0"], "worlds must be at least 1, got 0"),
-        (["--seeds", "0"], "seeds must be at least 1, got 0"),
-        (["--steps", "201"], "--steps must be at most 200"),
-    ],
+    ("option", "given"), [("backend", "gpu"), ("worlds", 0), ("seeds", 0), ("steps", 201)]
 )
-def test_bad_arguments(
-    args: list[str], message: str, capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
-    assert main(["bench", "interact", "--out", str(tmp_path), *args]) == 2
-    assert message in capsys.readouterr().err
+def test_bad_arguments(option: str, given: object, tmp_path: Path) -> None:
+    with refused(option, given):
+        command("bench", "interact", "--out", tmp_path, f"--{option}", given)
 
 
 def test_pictures_are_drawn_in_every_step_unless_told_not_to(

@@ -22,6 +22,7 @@ from mjhab.evaluation.specs import GenerateSpec
 from mjhab.tasks.style import Styles
 from tests.data.record.test_replay import changed
 from tests.data.record.worker_pools import InlinePool
+from tests.refusals import command, refused
 
 
 def machine(
@@ -34,9 +35,12 @@ def machine(
     return json.loads(lines[0])
 
 
-def refused(capsys: pytest.CaptureFixture[str], *args: str) -> str:
-    assert main(list(args)) == 2
-    return capsys.readouterr().err
+@pytest.fixture
+def inline(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Workers of `mjhab generate` are in this process."""
+    monkeypatch.setattr(
+        "mjhab.evaluation.generate.make_pool", lambda workers, ray: InlinePool()
+    )
 
 
 COMMAND = (
@@ -97,7 +101,8 @@ def test_what_is_packed_is_the_same_and_goes_on(
     more = machine(capsys, *COMMAND, "--episodes", "3", "--out", str(out), "--resume")
     assert (more["written"], more["kept"]) == (1, 3)
     assert machine(capsys, "data", "check", str(out))["ok"] == 3
-    assert "nothing to pack" in refused(capsys, "data", "pack", str(tmp_path))
+    with refused(where=tmp_path, said="nothing to pack"):
+        command("data", "pack", tmp_path)
 
 
 def test_episodes_that_the_policy_cannot_finish_end_with_an_error(
@@ -202,7 +207,7 @@ def test_the_profile_is_recorded_and_reaches_the_environment(tmp_path: Path) -> 
         ({"stillness": "absolute"}, "stillness"),
         ({"cameras": ("fetch_hand",)}, "cameras"),
     ):
-        with pytest.raises(UsageError, match=f"'ms_hab' has {name}"):
+        with refused(name, where="profile 'ms_hab'"):
             make_job(GenerateSpec.of(**{**options, **change}))
     shorter = build_stage(GenerateSpec.of(**{**options, "horizon": 50}))
     assert shorter.env.config.horizon == 50 and shorter.env.config.profile == "ms_hab"
@@ -215,62 +220,44 @@ def test_the_profile_is_recorded_and_reaches_the_environment(tmp_path: Path) -> 
 
 
 def test_what_cannot_work_is_refused_before_anything_is_built(
-    made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    made: Path, tmp_path: Path
 ) -> None:
     out = ("--out", str(tmp_path / "new"))
     shard = ("--out", str(tmp_path / "new.h5"))
-    for args, words in (
-        (("generate", "--subtask", "pick", *out), "the number of episodes is missing"),
+    one = ("generate", "--episodes", "1")
+    replay = ("replay", str(made))
+    own = str(min(made.rglob("*.h5")))
+    for args, told in (
+        (("generate", "--subtask", "pick", *out), dict(option="episodes")),
+        ((*one, "--subtask", "pik", *out), dict(option="subtask", expected="pick")),
+        ((*one, "--keep", "lable == 'x'", *out), dict(said="column 1")),
+        ((*one, "--images", "dept", *out), dict(option="observation mode")),
+        ((*one, "--out", str(made)), dict(option="out", advice="Give --resume")),
         (
-            ("generate", "--subtask", "pik", "--episodes", "1", *out),
-            "Did you mean 'pick'",
+            (*one, "--subtask", "place", "--resume", "--out", str(made)),
+            dict(said="another"),
         ),
-        (("generate", "--episodes", "1", "--keep", "lable == 'x'", *out), "column 1"),
+        ((*one, "--ray", "127.0.0.1:1", *out), dict(said="Ray")),
+        (replay, dict(said="--verify, or --render")),
+        ((*replay, "--verify", "--render", "rgb"), dict(said="one of the two")),
+        ((*replay, "--render", "rgb"), dict(option="out", where="render")),
+        ((*replay, "--render", "rgb", "--out", own), dict(option="out", given=own)),
+        (("replay", "--verify"), dict(said="name shards")),
+        ((*replay, "--render", "depth", *out), dict(given=out[1], expected=".h5")),
+        ((*replay, "--render", "dept", *shard), dict(expected="depth")),
         (
-            ("generate", "--episodes", "1", "--images", "dept", *out),
-            "unknown observation mode",
-        ),
-        (("generate", "--episodes", "1", "--out", str(made)), "Give --resume"),
-        (
-            (
-                *"generate --subtask place --episodes 1 --resume --out".split(),
-                str(made),
-            ),
-            "another",
-        ),
-        (("generate", "--episodes", "1", "--ray", "127.0.0.1:1", *out), "Ray"),
-        (("replay", str(made)), "--verify, or --render"),
-        (("replay", str(made), "--verify", "--render", "rgb"), "one of the two"),
-        (("replay", str(made), "--render", "rgb"), "needs --out"),
-        (
-            (
-                "replay",
-                str(made),
-                "--render",
-                "rgb",
-                "--out",
-                str(min(made.rglob("*.h5"))),
-            ),
-            "one of the shards",
-        ),
-        (("replay", "--verify"), "name shards"),
-        (("replay", str(made), "--render", "depth", *out), "must end with .h5"),
-        (("replay", str(made), "--render", "dept", *shard), "Did you mean 'depth'"),
-        (
-            ("replay", str(made), "--render", "depth", "--cameras", "follow", *shard),
-            "colour only",
+            (*replay, "--render", "depth", "--cameras", "follow", *shard),
+            dict(said="colour only"),
         ),
     ):
-        assert words in refused(capsys, *args), args
+        with refused(**told):
+            command(*args)
     assert not list(tmp_path.glob("new*"))
 
 
 def test_a_quota_that_was_not_filled_fails(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    inline: None, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(
-        "mjhab.evaluation.generate.make_pool", lambda workers, ray: InlinePool()
-    )
     found = machine(
         capsys,
         *COMMAND,
@@ -309,7 +296,7 @@ def test_ray_that_is_not_installed(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_styles_are_drawn_per_episode_and_kept_with_it(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    inline: None, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "styled"
     words = ("--style", "release=drop", "speed=0.7..0.9", "hold=2")
@@ -341,12 +328,8 @@ def test_styles_are_drawn_per_episode_and_kept_with_it(
         "style.speed < 0.95 and style.release == 'drop'",
     )
     assert (found["matched"], found["of"]) == (2, 2)
-    assert "style" in refused(
-        capsys,
-        *COMMAND,
-        *"--subtask place --policy expert --resume --out".split(),
-        str(out),
-    )
+    with refused(said="style"):
+        command(*COMMAND, *"--subtask place --policy expert --resume --out".split(), out)
 
 
 OWN = """
@@ -364,16 +347,13 @@ class Still:
 
 
 def test_a_policy_of_ones_own(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    inline: None, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(
-        "mjhab.evaluation.generate.make_pool", lambda workers, ray: InlinePool()
-    )
     file = tmp_path / "mine.py"
     file.write_text(OWN)
-    command = (*COMMAND, "--policy", f"{file}:Still")
+    words = (*COMMAND, "--policy", f"{file}:Still")
     seen = tmp_path / "seen"
-    assert machine(capsys, *command, "--out", str(seen))["kept"] == 2
+    assert machine(capsys, *words, "--out", str(seen))["kept"] == 2
     found = list(episodes(seen))
     policy = found[0].run.config["policy"]
     assert [episode.steps for episode in found] == [3, 3]
@@ -381,19 +361,18 @@ def test_a_policy_of_ones_own(
         policy["name"] == "mine.py:Still" and policy["env_options"]["obs_mode"] == "depth"
     )
     assert len(policy["policy_sha256"]) == 64
-    assert "camera_size = 16" in refused(
-        capsys, *command, "--images", "rgb", "--out", str(tmp_path / "other")
-    )
+    with refused("camera_size", expected="16"):
+        command(*words, "--images", "rgb", "--out", tmp_path / "other")
     stored = tmp_path / "stored"
     machine(
-        capsys, *command, "--images", "rgb", "--camera-size", "16", "--out", str(stored)
+        capsys, *words, "--images", "rgb", "--camera-size", "16", "--out", str(stored)
     )
     episode = next(episodes(stored))
     assert episode.frame("fetch_hand", "rgb", 0).shape == (16, 16, 3)
     assert episode.frame("fetch_hand", "depth", 0).shape == (16, 16, 1)
     file.write_text(OWN + "# another version")
-    assert "policy_sha256" in refused(capsys, *command, "--resume", "--out", str(seen))
-    assert "Did you mean 'Still'" in refused(
-        capsys, *COMMAND, "--policy", f"{file}:Stil", "--out", str(tmp_path / "new")
-    )
+    with refused(said="policy_sha256"):
+        command(*words, "--resume", "--out", seen)
+    with refused("class", "Stil", expected="Still"):
+        command(*COMMAND, "--policy", f"{file}:Stil", "--out", tmp_path / "new")
     assert not (tmp_path / "new").exists()

@@ -11,7 +11,7 @@ import pytest
 
 from mjhab.cli.machine.examples import EXAMPLES, SOURCE, Example, copy_examples
 from mjhab.cli.main import main, parse
-from mjhab.core.errors import UsageError
+from tests.refusals import refused
 
 FAILED = 1
 USAGE = 2
@@ -78,5 +78,5 @@ def test_a_full_disk_is_told_with_the_file_that_cannot_be_written(
 
 def test_a_file_is_no_folder(tmp_path: Path) -> None:
     (tmp_path / "a").write_text("")
-    with pytest.raises(UsageError, match="is a file"):
+    with refused("out", str(tmp_path / "a")):
         copy_examples(tmp_path / "a")

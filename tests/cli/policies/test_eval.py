@@ -160,11 +160,11 @@ def test_the_profile_and_its_values_are_recorded_and_told(
         (("--profile", "mshab"), "Did you mean 'ms_hab'"),
         (
             ("--profile", "ms_hab", "--stillness", "absolute"),
-            "profile 'ms_hab' has stillness 'published'",
+            "profile 'ms_hab': stillness must be 'published'",
         ),
         (
             ("--profile", "ms_hab", "--starts", "front_box"),
-            "profile 'ms_hab' has spawn_rule 'published'",
+            "profile 'ms_hab': spawn_rule must be 'published'",
         ),
         (("--starts", "anywhere"), "front_box, published"),
     ],
@@ -361,7 +361,7 @@ def test_full_folder_is_refused_and_overwritten_on_demand(
     assert run() == 2
     err = capsys.readouterr().err
     assert (
-        "not empty" in err
+        "out must be empty" in err
         and "--resume" in err
         and "--overwrite" in err
         and "Traceback" not in err
@@ -384,13 +384,19 @@ def test_full_folder_is_refused_and_overwritten_on_demand(
         (("--navigate", "fly"), ("unknown navigate mode 'fly'", "teleport", "drive")),
         (("--policy", "export"), ("unknown policy", "'expert'", "zero")),
         (("--split", "vla"), ("unknown split", "'val'", "train")),
-        (("--target", "024_bowl"), ("target needs a subtask",)),
+        (
+            ("--target", "024_bowl"),
+            ("target must be left out without a subtask", "024_bowl"),
+        ),
         (("--worlds", "0"), ("worlds must be at least 1, got 0",)),
         (("--episodes", "-3"), ("episodes must be at least 1, got -3",)),
         (("--seed", "-1"), ("seed must be at least 0",)),
         (("--films", "-1"), ("films must be at least 0",)),
-        (("--resume", "--overwrite"), ("exclude each other",)),
-        (("--alone", "nowhere"), ("nowhere", "no run with --subtask")),
+        (("--resume", "--overwrite"), ("resume must be left out with overwrite",)),
+        (
+            ("--alone", "nowhere"),
+            ("alone must be a folder with runs of --subtask", "nowhere"),
+        ),
     ],
 )
 def test_bad_input_is_one_clear_message(
@@ -466,7 +472,10 @@ def test_a_style_needs_the_expert_and_valid_names(
     run: Callable[..., int], capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert run("--style", "speed=0.5") == 2
-    assert "only the policy expert has a style" in capsys.readouterr().err
+    assert (
+        "style must be left out: only the policy expert has one"
+        in capsys.readouterr().err
+    )
     assert run("--style", "sped=0.5", policy="expert") == 2
     assert "Did you mean 'speed'?" in capsys.readouterr().err
 

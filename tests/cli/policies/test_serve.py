@@ -54,7 +54,7 @@ def test_the_first_line_is_the_port_and_ctrl_c_ends_it() -> None:
             ["serve", "student", "--subtask", "pick", "--target", "013_aple"],
             "Did you mean '013_apple'",
         ),
-        (["serve", "zero", "--style", "speed=0.5"], "only the policy expert has a style"),
+        (["serve", "zero", "--style", "speed=0.5"], "style must be left out"),
         (["serve", "expert", "--style", "speeed=0.5"], "Did you mean 'speed'"),
         (["serve", "expert", "--assets", "nowhere"], "'nowhere'"),
         (
@@ -67,9 +67,9 @@ def test_the_first_line_is_the_port_and_ctrl_c_ends_it() -> None:
         ),
         (
             ["eval", "--policy", "ws://127.0.0.1:1", "--batch"],
-            "the dialect openpi has no batches",
+            "batch must be left out",
         ),
-        (["score", "--check", "nowhere.json"], "there is no file nowhere.json"),
+        (["score", "--check", "nowhere.json"], "nowhere.json: does not exist"),
         (["score", "--track", "subtask"], "Did you mean 'subtasks'"),
         (["score", "--episodes", "0"], "episodes must be at least 1"),
     ],

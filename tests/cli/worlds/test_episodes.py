@@ -119,7 +119,7 @@ def test_wrong_orders_are_refused(
     assert "exists; add --overwrite" in refused(
         capsys, 2, "make", "--count", "2", "--out", str(made)
     )
-    assert "must end with .json or .json.gz" in refused(
+    assert "out must be a name that ends with .json or .json.gz" in refused(
         capsys, 2, "make", "--out", str(tmp_path / "x.txt")
     )
     assert "Did you mean 'tidy_house'" in refused(

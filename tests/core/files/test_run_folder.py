@@ -8,6 +8,7 @@ import pytest
 
 from mjhab.core.errors import UsageError
 from mjhab.core.files.run_folder import RunFolder
+from tests.refusals import refused
 
 
 class Counted(RunFolder):
@@ -45,7 +46,7 @@ def test_a_refused_run_leaves_its_work_alone(
 
 
 def test_one_process_writes(tmp_path: Path) -> None:
-    with Counted.open(tmp_path, CONFIG), pytest.raises(UsageError, match="being written"):
+    with Counted.open(tmp_path, CONFIG), refused(said="being written"):
         Counted.open(tmp_path, CONFIG, resume=True)
     Counted.open(tmp_path, CONFIG, resume=True).close()
     assert [entry.name for entry in tmp_path.iterdir()] == ["config.json"]

@@ -12,7 +12,6 @@ from typing import Any
 import pytest
 
 import mjhab
-from mjhab.core.errors import UsageError
 from mjhab.core.registration import plugins
 from mjhab.core.registration.registry import Registry
 from tests.refusals import refused
@@ -46,18 +45,17 @@ def test_builtin_items_come_first_and_are_imported_when_asked_for(
     assert "mine" in shelf and "other" not in shelf and len(shelf) == 2
     broken = Registry[object]("thing", {"a": "pathlib:Nothing"})
     assert broken.names() == ("a",)
-    with pytest.raises(UsageError, match="'pathlib' has no 'Nothing'"):
+    with refused("reference", "pathlib:Nothing"):
         _ = broken["a"]
 
 
 def test_a_name_is_registered_once(shelf: Registry[object]) -> None:
     for name in ("path", "mine"):
         who = {"path": "mjhab itself", "mine": "the calling program"}[name]
-        told = f"thing '{name}' is registered twice: by {who} and by the calling program"
-        with pytest.raises(UsageError, match=told):
+        with refused("thing", name, expected=f"{who} and the calling program"):
             shelf.add("mine", 1)
             shelf.add(name, 2)
-    with pytest.raises(UsageError, match="has not been registered by a plugin"):
+    with refused(where="thing", said="has not been registered by a plugin"):
         shelf.remove("path")
 
 
@@ -72,15 +70,13 @@ def test_what_is_no_name_is_refused(shelf: Registry[object], name: Any) -> None:
 def test_an_unknown_name_lists_the_names_and_the_plugins_that_failed(
     shelf: Registry[object], tmp_path: Path
 ) -> None:
-    with pytest.raises(UsageError, match=r"unknown thing 'pth'\. Did you mean 'path'"):
+    with refused("thing", "pth", expected="path"):
         _ = shelf["pth"]
     file = tmp_path / "broken.py"
     file.write_text("raise ValueError('no weights.')")
     with pytest.warns(plugins.PluginWarning, match=r"broken\.py.*ValueError: no weights"):
         plugins.load_plugin(file)
-    with pytest.raises(
-        UsageError, match=r"could not be loaded: .*broken\.py: ValueError: no weights\.$"
-    ):
+    with refused("thing", "pth", expected="path", said="could not be loaded:"):
         _ = shelf["pth"]
 
 
@@ -102,7 +98,7 @@ def test_a_plugin_that_raises_leaves_nothing_behind(
     ]
     assert shelf.source("whole") == str(tmp_path / "whole.py")
     with pytest.warns(
-        plugins.PluginWarning, match="registered twice: by plugin .*whole.py"
+        plugins.PluginWarning, match="registered once: .*plugin .*whole.py"
     ):
         plugins.load_plugin(tmp_path / "whole.py")
     assert "whole" in shelf
@@ -194,26 +190,20 @@ def test_the_warning_is_at_the_line_that_imports(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("reference", "told"),
+    "reference",
     [
-        ("nowhere", "is no reference"),
-        (
-            "nowhere_at_all:fn",
-            "module 'nowhere_at_all'.* cannot be imported: ModuleNotFoundError",
-        ),
-        (
-            "broken_module:fn",
-            r"cannot be imported: ZeroDivisionError.*broken_module\.py, line 2",
-        ),
-        ("pathlib:Nothing", "has no 'Nothing'"),
+        "nowhere",
+        "nowhere_at_all:fn",
+        "broken_module:fn",
+        "pathlib:Nothing",
     ],
 )
 def test_a_reference_that_leads_nowhere_is_told(
-    reference: str, told: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    reference: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (tmp_path / "broken_module.py").write_text("\n1 / 0")
     monkeypatch.syspath_prepend(tmp_path)
-    with pytest.raises(UsageError, match=told):
+    with refused("reference", reference):
         plugins.resolved(reference)
 
 
@@ -232,7 +222,7 @@ def test_a_reference_that_leads_nowhere_is_told(
 def test_a_registering_function_says_what_it_expects(
     function: str, kind: str, given: object
 ) -> None:
-    with pytest.raises(UsageError, match=f"mjhab.{function} expects a {kind}, got "):
+    with refused("argument"):
         getattr(mjhab, function)(given)
 
 

@@ -14,7 +14,6 @@ import pyarrow.parquet as pq
 import pytest
 
 import mjhab
-from mjhab.core.errors import UsageError
 from mjhab.core.rotations import quat_rotate
 from mjhab.data.export.conventions import CONVENTIONS
 from mjhab.data.export.lerobot.export import Exported
@@ -31,6 +30,7 @@ from mjhab.render.film import FilmWriter, join_films
 from tests.data.export.exporting import to_lerobot
 from tests.data.fake_world import SIZE, FakeEnv
 from tests.data.make import chains_and_picks, record
+from tests.refusals import refused
 
 RGB = "observation.images.fetch_head"
 DEPTH = "observation.depth.fetch_head"
@@ -213,15 +213,15 @@ def test_choice_filter_and_bad_input(source: Path, tmp_path: Path) -> None:
         tmp_path / "a/videos"
     ).exists()
     assert json.loads((tmp_path / "a/meta/info.json").read_text())["video_path"] is None
-    with pytest.raises(UsageError, match=r"exists already.*--overwrite"):
+    with refused(where=tmp_path):
         export(source, tmp_path / "a")
-    with pytest.raises(UsageError, match="no episode passes"):
+    with refused(said="no episode passes"):
         export(source, tmp_path / "b", where=Filter("steps > 1000"))
-    with pytest.raises(UsageError, match=r"Valid names: 2\.1, 3\.0"):
+    with refused("LeRobot version", "3", expected="3.0", said="Valid names: 2.1, 3.0"):
         export(source, tmp_path / "b", "3")
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine/letter.txt").write_text("dear")
-    with pytest.raises(UsageError, match="does not hold an export"):
+    with refused(where="mine", said="does not hold an export"):
         export(source, tmp_path / "mine", overwrite=True)
     assert (tmp_path / "mine/letter.txt").exists() and not (tmp_path / "b").exists()
 
@@ -244,7 +244,7 @@ def test_an_export_appears_whole_or_not_at_all(source: Path, tmp_path: Path) -> 
 
 def test_episodes_that_differ_are_refused(source: Path, tmp_path: Path) -> None:
     record(tmp_path / "plain.h5", [7], FakeEnv())
-    with pytest.raises(UsageError, match=r"differs .* in observation.*--no-rgb"):
+    with refused(where="plain.h5", said="in observation"):
         to_lerobot(
             [source, tmp_path / "plain.h5"],
             tmp_path / "set",
@@ -343,7 +343,7 @@ def test_ids_that_mean_other_things_are_refused(tmp_path: Path) -> None:
     for index, (name, names) in enumerate((("a", NAMES), ("b", NAMES[::-1]))):
         env = FakeEnv(images=True, segments=names)
         record(tmp_path / f"{name}.h5", [index], env, images=ImageFormat())
-    with pytest.raises(UsageError, match=r"b\.h5 mean other things.*--no-seg"):
+    with refused(said="b.h5 mean other things"):
         export(tmp_path, tmp_path / "out/set")
 
 

@@ -12,7 +12,6 @@ import h5py
 import numpy as np
 import pytest
 
-from mjhab.core.errors import UsageError
 from mjhab.data.export import maniskill
 from mjhab.data.export.conventions import CONVENTIONS
 from mjhab.data.imports.ms_hab import import_ms_hab
@@ -23,6 +22,7 @@ from mjhab.tasks.subtasks.pick import PICK
 from tests.data.export.exporting import to_maniskill
 from tests.data.fake_world import SIZE, FakeEnv
 from tests.data.make import record, record_pictures
+from tests.refusals import refused
 
 FAILED = 8
 """Index of an episode of the fake environment that fails; the next ones succeed."""
@@ -134,20 +134,20 @@ def test_overwrite_replaces_exports_alone(source: Path, tmp_path: Path) -> None:
     shards.mkdir(parents=True)
     record(shards / "024_bowl.h5", range(1), FakeEnv(subtask="pick"))
     before = (shards / "024_bowl.h5").read_bytes()
-    with pytest.raises(UsageError, match=r"024_bowl\.h5 is not of one"):
+    with refused(said="024_bowl.h5 is not of one"):
         to_maniskill(source, out, overwrite=True)
     for inside in (out, out / "set"):
-        with pytest.raises(UsageError, match="is read as a shard"):
+        with refused("out"):
             to_maniskill(out, inside, overwrite=True)
     assert [path.name for path in out.iterdir()] == ["set_table"]
     # Data of MS-HAB itself have a JSON file beside them, too.
     (shards / "024_bowl.json").write_text('{"source_type": "rl"}')
-    with pytest.raises(UsageError, match=r"024_bowl\.h5 is not of one"):
+    with refused(said="024_bowl.h5 is not of one"):
         to_maniskill(source, out, overwrite=True)
     assert (shards / "024_bowl.h5").read_bytes() == before
     (out / "set_table").rename(tmp_path / "set_table")
     (out / "notes").mkdir()
-    with pytest.raises(UsageError, match="no trajectory files"):
+    with refused(where="runs", said="no trajectory files"):
         to_maniskill(source, out, overwrite=True)
     to_maniskill(source, tmp_path / "out")
     assert to_maniskill(source, tmp_path / "out", overwrite=True).episodes == 6

@@ -14,7 +14,6 @@ import pytest
 import mjhab
 from mjhab.cli.main import main
 from mjhab.core.conventions.names import PUBLISHED
-from mjhab.core.errors import UsageError
 from mjhab.data.imports.ms_hab import ABSENT, import_ms_hab
 from mjhab.data.imports.ms_hab_layout import ACTIONS, SCANNED_YAWS
 from mjhab.data.imports.origin import Origin
@@ -31,6 +30,7 @@ from mjhab.rollout.records import PlanEntry
 from tests.data.export.exporting import to_maniskill
 from tests.data.fake_world import FakeEnv
 from tests.data.make import record, record_pictures
+from tests.refusals import command, refused
 
 STEPS = 6
 SIDE = 8
@@ -284,13 +284,9 @@ def test_a_file_of_the_original(tmp_path: Path) -> None:
             assert episode.attributes["ending"] == "timeout" and episode.run.config[
                 "policy"
             ] == {"name": "ms_hab rl"}
-            with pytest.raises(
-                UsageError, match=r"without states/qpos. Its source lacks states/initial"
-            ):
+            with refused(said="without states/qpos. Its source lacks states/initial"):
                 episode.array("states/qpos")
-            with pytest.raises(
-                UsageError, match="imported from data without states/initial"
-            ):
+            with refused(said="imported from data without states/initial"):
                 episode.initial()
 
 
@@ -339,19 +335,14 @@ def test_what_needs_states_or_signals_says_so(
     def never(run: Any) -> Any:
         raise AssertionError
 
-    with pytest.raises(
-        UsageError, match=r"imported from data without states.*policy == 'expert'"
-    ):
+    with refused(where="024_bowl.h5", said="imported from data without states"):
         verify(shards, never)
     record(shards / "ours.h5", range(2), FakeEnv(subtask="pick"))
     assert main(["label", str(shards), "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
     assert (told["episodes"], told["changed"], told["without_signals"]) == (2, 0, 3)
     for episode in episodes(shards / "set_table"):
-        with pytest.raises(
-            UsageError,
-            match=r"It was imported from data without states to draw them from",
-        ):
+        with refused(said="It was imported from data without states to draw them from"):
             episode.frame("fetch_head", "seg", 0)
 
 
@@ -377,8 +368,8 @@ def test_the_run_of_an_import_is_that_of_the_source(tmp_path: Path) -> None:
     with h5py.File(path, "r+") as file:
         del file["traj_0/actions"]
         file["traj_0/actions"] = np.zeros((STEPS, 11), np.float32)
-    with pytest.raises(
-        UsageError, match=r"actions of 11 numbers; pd_joint_delta_pos has 13"
+    with refused(
+        where="024_bowl.h5", said="actions of 11 numbers; pd_joint_delta_pos has 13"
     ):
         import_ms_hab(path, tmp_path / "other")
 
@@ -416,13 +407,13 @@ def test_links_furniture_and_folders(tmp_path: Path) -> None:
     lying = tmp_path / "lying.h5"
     path.rename(lying)
     path.with_suffix(".json").rename(lying.with_suffix(".json"))
-    with pytest.raises(UsageError, match="give --task"):
+    with refused(where="lying.h5", said="give --task"):
         import_ms_hab(lying, shards)
     import_ms_hab(lying, shards, Origin("tidy_house", "val"))
     found = {episode.record.task: episode.record for episode in episodes(shards)}
     assert {each.subtasks[0].target for each in found.values()} == {"fridge/top_door"}
     assert found["tidy_house"].split == "val" and found["set_table"].split == "train"
-    with pytest.raises(UsageError, match="Did you mean 'tidy_house'"):
+    with refused("task", "tidyhouse", expected="tidy_house"):
         Origin("tidyhouse")
 
 
@@ -430,51 +421,52 @@ def test_bad_files(tmp_path: Path) -> None:
     path = original(tmp_path, 1)
     out = tmp_path / "shards"
 
-    def refused(match: str) -> None:
-        with pytest.raises(UsageError, match=match):
+    def check_refused(said: str) -> None:
+        with refused(where="024_bowl", said=said):
             import_ms_hab(path, out)
         assert not check(out).episodes if list(out.rglob("*.h5")) else True
 
     rewrite(path, env_info={"env_id": "SequentialTask-v0"})
     path.parent.rename(path.parents[1] / "sequential_task")
     path = tmp_path / "set_table/sequential_task/024_bowl.h5"
-    refused("is of SequentialTask-v0.*whole chains do not say which subtask")
+    check_refused("of SequentialTask-v0")
     rewrite(path, env_info={"env_id": "PickSubtaskTrain-v0"})
     good = path.with_suffix(".json").read_text()
     rewrite(path, episodes=[{"episode_id": 0, "elapsed_steps": STEPS}])
-    refused(r"episode 0 has no label, events_verbose. Record with labels")
+    check_refused("episode 0 has no label, events_verbose. Record with labels")
     rewrite(path, episodes={})
-    refused("no list 'episodes'")
+    check_refused("no list 'episodes'")
     path.with_suffix(".json").write_text("{")
-    refused("is not valid JSON")
+    check_refused("not valid JSON")
     path.with_suffix(".json").write_text(
         good.replace(f'"elapsed_steps": {STEPS}', '"elapsed_steps": 9')
     )
-    refused(f"traj_0 has {STEPS} actions, and the JSON says 9 steps")
+    check_refused(f"traj_0 has {STEPS} actions, and the JSON says 9 steps")
     path.with_suffix(".json").write_text(
         good.replace('"episode_id": 0', '"episode_id": 4')
     )
-    refused("has no traj_4")
+    check_refused("has no traj_4")
     path.with_suffix(".json").write_text(good)
     with h5py.File(path, "r+") as file:
         del file["traj_0/terminated"]
         file["traj_0/terminated"] = np.zeros(0, bool)
-    refused(r"terminated must be rows of numbers, not .* \(0,\)")
+    check_refused("terminated must be rows of numbers, not ")
     with h5py.File(path, "r+") as file:
         del file["traj_0/rewards"], file["traj_0/obs/extra"]
-    refused(r"traj_0 has no rewards, obs/extra; it has obs, actions")
+    check_refused("traj_0 has no rewards, obs/extra; it has obs, actions")
     path.with_suffix(".json").unlink()
-    refused("has no 024_bowl.json beside it")
+    check_refused("has no 024_bowl.json beside it")
     with h5py.File(path, "w") as file:
         file["data"] = 1
-    refused(r"has no groups traj_0, traj_1, .* It has: data")
+    check_refused("It has: data")
     path.write_bytes(b"nothing")
-    refused("is not an HDF5 file")
+    check_refused("not an HDF5 file")
     path.unlink()
-    refused("does not exist")
+    check_refused("does not exist")
     path = tmp_path / "a.h5"
     record(path, range(1), FakeEnv(subtask="pick"))
-    refused("is a shard of mjhab already")
+    with refused(where="a.h5", said="a shard of mjhab already"):
+        import_ms_hab(path, out)
 
 
 def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -491,5 +483,5 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
         "0 episodes, 0 frames" in (said := capsys.readouterr().out)
         and "2 were there already" in said
     )
-    assert main(["data", "import", "mshab", paths[0], "--out", str(out)]) == 2
-    assert "Did you mean 'ms_hab'" in capsys.readouterr().err
+    with refused("format", "mshab", expected="ms_hab"):
+        command("data", "import", "mshab", paths[0], "--out", str(out))

@@ -18,7 +18,7 @@ from typing import Any, ClassVar
 import numpy as np
 import pytest
 
-from mjhab.core.errors import MjhabError, UsageError
+from mjhab.core.errors import MjhabError
 from mjhab.data.record.generation import generate
 from mjhab.data.record.job import GENERATION_CONFIG, TRIED, Job, Standing
 from mjhab.data.record.pools import ProcessPool
@@ -30,6 +30,7 @@ from mjhab.data.store.packing import pack
 from mjhab.data.store.storage import StorageError
 from mjhab.rollout.policy import RandomPolicy
 from tests.data.record.worker_pools import KEEP, InlinePool, after, build, job, kept
+from tests.refusals import refused
 
 COUNT = 16
 """Episodes to keep; not every one that is tried passes."""
@@ -223,7 +224,7 @@ def test_a_lost_episode_that_fails_the_second_time_is_not_waited_for(
 def test_tried_episodes_that_are_none_are_refused(tmp_path: Path, line: str) -> None:
     generate(job(tmp_path, "steps > 10000", episodes=2), InlinePool())
     (tmp_path / TRIED).write_text(f"{line}\n")
-    with pytest.raises(UsageError, match=r"tried.jsonl is damaged"):
+    with refused(where=TRIED, said="damaged"):
         generate(job(tmp_path, "steps > 10000", episodes=2), InlinePool(), resume=True)
 
 
@@ -318,9 +319,9 @@ def test_nobody_packs_what_is_being_generated_nor_the_other_way_round(
     tmp_path: Path,
 ) -> None:
     work = job(tmp_path, episodes=3)
-    with pytest.raises(UsageError, match="is being written"):
+    with refused(said="is being written"):
         generate(work, InlinePool(), lambda now: now.written and pack(tmp_path))
-    with lock_set(tmp_path), pytest.raises(UsageError, match="is being written"):
+    with lock_set(tmp_path), refused(said="is being written"):
         generate(work, InlinePool(), resume=True)
     assert generate(work, InlinePool(), resume=True).kept == pack(tmp_path).episodes == 3
     # The packed ones count.
@@ -331,19 +332,21 @@ def test_nobody_packs_what_is_being_generated_nor_the_other_way_round(
 
 def test_folders_that_cannot_be_used(tmp_path: Path) -> None:
     generate(job(tmp_path / "a", episodes=3), InlinePool())
-    with pytest.raises(UsageError, match=r"not empty .*Give --resume"):
+    with refused("out", advice="Give --resume"):
         generate(job(tmp_path / "a", episodes=3), InlinePool())
-    with pytest.raises(UsageError, match="started with keep = '', now it is"):
+    with refused(said="started with keep = '', now it is"):
         generate(job(tmp_path / "a", "success", episodes=3), InlinePool(), resume=True)
     (tmp_path / "a" / GENERATION_CONFIG).unlink()
-    with pytest.raises(UsageError, match="nothing to resume"):
+    with refused(
+        "resume", expected="a folder with generation.json", advice="nothing to resume"
+    ):
         generate(job(tmp_path / "a", episodes=3), InlinePool(), resume=True)
-    with pytest.raises(UsageError, match="is a file"):
+    with refused("out", expected="a folder, not a file"):
         file = min((tmp_path / "a").rglob("*.h5"))
         generate(job(file, episodes=3), InlinePool())
     (tmp_path / "a" / GENERATION_CONFIG).write_text('{"keep": ""}')
     work = job(tmp_path / "a", episodes=5)
-    with pytest.raises(UsageError, match="is being written"):
+    with refused(where="a", said="is being written"):
         generate(
             work,
             InlinePool(),
@@ -353,6 +356,6 @@ def test_folders_that_cannot_be_used(tmp_path: Path) -> None:
     other = replace(
         work, spec=replace(work.spec, build=functools.partial(build, 2, "pick"))
     )
-    with pytest.raises(UsageError, match="another configuration"):
+    with refused(where=tmp_path, said="another configuration"):
         generate(other, InlinePool(), resume=True)
     assert generate(work, InlinePool(), resume=True).kept == 5

@@ -5,12 +5,11 @@ from __future__ import annotations
 import random
 from collections import Counter
 
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mjhab.core.errors import UsageError
 from mjhab.data.record.quotas import GuaranteedTargets, Outcome, Quotas
+from tests.refusals import refused
 
 TARGETS = ("bowl", "apple", "can")
 LABELS = ("good", "bad")
@@ -116,5 +115,5 @@ def test_an_open_lower_index_delays_the_decision() -> None:
 
 
 def test_negative_quotas_are_refused() -> None:
-    with pytest.raises(UsageError, match="at least 0"):
+    with refused("quotas", (-1, 0)):
         Quotas((), per_target=-1)

@@ -11,7 +11,6 @@ import pytest
 import torch
 from torch.utils.data import BatchSampler, DataLoader
 
-from mjhab.core.errors import UsageError
 from mjhab.data.record.recorder import Recorder
 from mjhab.data.select.dataset import Normalization, SeededSampler, Window, WindowDataset
 from mjhab.data.select.query import Filter
@@ -26,6 +25,7 @@ from mjhab.rollout.loop import rollout
 from mjhab.rollout.policy import RandomPolicy
 from tests.data.fake_world import SIZE, FakeEnv
 from tests.data.make import record, record_pictures
+from tests.refusals import refused
 
 DEPTH = "fetch_head/depth"
 
@@ -105,9 +105,7 @@ def test_normalized_to_a_range(source: Path) -> None:
     np.testing.assert_allclose(actions.max(axis=0), 1, atol=1e-5)
     back = data.statistics.restore("action", actions[7], "range")
     np.testing.assert_allclose(back, plain[7]["action"][0], atol=1e-5)
-    with pytest.raises(
-        UsageError, match=r"unknown way to normalize 'rang'\. Did you mean 'range'"
-    ):
+    with refused("way to normalize", "rang", expected="range"):
         WindowDataset(source, normalization=Normalization("rang"))
 
 
@@ -161,7 +159,7 @@ def test_statistics_are_computed_once_for_the_same_data(
         is first
     )
     cache.write_bytes(b"no statistics")
-    with pytest.raises(UsageError, match="delete it"):
+    with refused(where="stats.npz", said="delete it"):
         WindowDataset(source, normalization=Normalization(cache=cache))
 
 
@@ -195,11 +193,11 @@ def test_order_is_a_function_of_seed_and_epoch(source: Path) -> None:
 def test_filter_and_bad_input(source: Path) -> None:
     chosen = WindowDataset(source, where=Filter("index in (0, 5)"))
     assert {chosen[i]["episode"] for i in range(len(chosen))} == {0, 1}
-    with pytest.raises(UsageError, match="no episode passes"):
+    with refused(said="no episode passes"):
         WindowDataset(source, where=Filter("index > 99"))
-    with pytest.raises(UsageError, match="replay --render"):
+    with refused(said="replay --render"):
         WindowDataset(source, Window(images=("fetch_hand/rgb",)))
-    with pytest.raises(UsageError, match="at least 1"):
+    with refused("history and chunk", (0, 1)):
         WindowDataset(source, Window(history=0))
 
 
@@ -248,5 +246,5 @@ def test_until_is_read_and_counts_from_the_first_success() -> None:
     ] == [7, 3, 5]
     assert Until.parse("success+90").steps(success) == Until(0).steps(success * 0) == 7
     for wrong in ("success+", "success-1", "succes+3", "success+1e3"):
-        with pytest.raises(UsageError, match=r"success\+20"):
+        with refused("until"):
             Until.parse(wrong)

@@ -15,6 +15,7 @@ from mjhab.data.select.query import PRESETS, Filter, FilterError
 from mjhab.data.store.episode_data import RunInfo
 from mjhab.rollout.records import EpisodeRecord, PlanEntry, SubtaskRecord
 from mjhab.tasks.subtasks.registry import all_labels, event_columns
+from tests.refusals import refused
 
 RUN = RunInfo({"policy": {"name": "expert"}})
 SUB = SubtaskRecord(
@@ -195,7 +196,7 @@ def test_hostile_texts_are_refused_or_harmless() -> None:
             assert ask(text) in (True, False)
         except UsageError as error:
             assert "filter" in str(error)
-    with pytest.raises(UsageError, match="at most 4000"):
+    with refused("characters of the filter", 4404):
         Filter("success or " * 400 + "fail")
 
 
@@ -283,7 +284,7 @@ def test_presets() -> None:
         place, subtasks=(dataclasses.replace(again, legacy_label=again.label),)
     )
     assert Filter.preset("place_published")(straight, RUN)
-    with pytest.raises(UsageError, match="Did you mean 'pick_paper'"):
+    with refused("preset", "pickpaper", expected="pick_paper"):
         Filter.preset("pickpaper")
 
 

@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mjhab.core.errors import UsageError
 from mjhab.data.select.statistics import Statistics
+from tests.refusals import refused
 
 
 def saved(path: Path) -> Path:
@@ -30,7 +30,7 @@ def test_statistics_are_read_as_written(tmp_path: Path):
 def test_another_head_is_refused(tmp_path: Path, head: object):
     path = tmp_path / "s.npz"
     np.savez(path, head=np.frombuffer(json.dumps(head).encode(), np.uint8))
-    with pytest.raises(UsageError, match="file of statistics"):
+    with refused(where="s.npz", said="file of statistics"):
         Statistics.load(path)
 
 
@@ -38,5 +38,5 @@ def test_another_head_is_refused(tmp_path: Path, head: object):
 def test_a_cut_file_is_refused(tmp_path: Path, keep: int):
     path = saved(tmp_path / "s.npz")
     path.write_bytes(path.read_bytes()[:keep])
-    with pytest.raises(UsageError, match="file of statistics"):
+    with refused(where="s.npz", said="file of statistics"):
         Statistics.load(path)

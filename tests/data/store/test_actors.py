@@ -14,7 +14,6 @@ import pytest
 
 from mjhab.cli.main import main
 from mjhab.core.action_notes import ActionNotes
-from mjhab.core.errors import UsageError
 from mjhab.data.export.lerobot.parts import FilmTools
 from mjhab.data.record.recorder import Recorder
 from mjhab.data.select.dataset import Normalization, Window, WindowDataset
@@ -30,6 +29,7 @@ from mjhab.rollout.policy import RandomPolicy
 from tests.data.export.exporting import to_lerobot, to_maniskill
 from tests.data.fake_world import FakeEnv
 from tests.data.make import make_older, record
+from tests.refusals import refused
 
 NO_FILMS = FilmTools(
     lambda path, fps: pytest.fail("there is nothing to film"), lambda paths, out: None
@@ -200,7 +200,7 @@ def test_an_episode_that_lost_its_intended_actions_is_damaged(
     assert list(check(path).damaged.values()) == [["actions_intended is missing"]]
     with (
         open_shard(path) as shard,
-        pytest.raises(UsageError, match="unknown dataset 'actions_intended'"),
+        refused("dataset", "actions_intended", expected="actions"),
     ):
         shard.episode(str(name)).array("actions_intended")
 
@@ -228,7 +228,7 @@ def test_windows_take_either_actions_for_labels(source: Path, tmp_path: Path) ->
         assert a["actor"].shape == (2,) and (a["actor"] == 2).all() == (not halved)
         seen |= set(a["actor"].tolist())
     assert seen == {0, 1, 2}
-    with pytest.raises(UsageError, match="Did you mean 'intended'"):
+    with refused("labels", "intent", expected="intended"):
         WindowDataset(places, Window(labels="intent"))
 
 

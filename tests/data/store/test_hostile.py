@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from mjhab.cli.main import main
-from mjhab.core.errors import MjhabError, UsageError
+from mjhab.core.errors import MjhabError
 from mjhab.data.select.dataset import WindowDataset
 from mjhab.data.select.sets import split, stats
 from mjhab.data.store.checking import check, repair
@@ -31,6 +31,7 @@ from mjhab.rollout.records import EpisodeRecord
 from tests.data.export.exporting import to_maniskill
 from tests.data.fake_world import FakeEnv
 from tests.data.make import numbered, one_episode, record, record_pictures
+from tests.refusals import refused
 
 
 @pytest.fixture(scope="module")
@@ -106,7 +107,7 @@ def test_a_name_in_a_record_leads_nowhere(
 def test_a_part_of_a_split_is_a_name(tmp_path: Path, picks: bytes, part: str) -> None:
     (tmp_path / "a.h5").write_bytes(picks)
     before = everything(tmp_path)
-    with pytest.raises(UsageError, match=r"name of a part must be a name"):
+    with refused(said="name of a part must be a name"):
         split([tmp_path / "a.h5"], tmp_path / "out", {part: 1.0})
     assert everything(tmp_path) == before
 

@@ -92,7 +92,7 @@ def test_made_once_then_read_from_the_cache(
         again.arms("013_aple")
 
 
-@pytest.mark.parametrize(("task", "count"), [("set_table", 16), ("tidy_house", 24)])
+@pytest.mark.parametrize(("task", "count"), [("set_table", 10), ("tidy_house", 16)])
 def test_objects_are_still_held_after_some_steps(task: str, count: int) -> None:
     env: Any = envs.make(
         task=task,

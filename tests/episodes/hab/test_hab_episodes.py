@@ -38,6 +38,7 @@ from mjhab.tasks.household.prepare_groceries import FRIDGE_PREOPEN_RAD
 from mjhab.tasks.household.registry import TASKS
 from mjhab.tasks.household.spec import TargetRule, TaskSpec
 from tests.real_data import real_data
+from tests.refusals import refused
 
 PATH = Path("some.json.gz")
 
@@ -205,7 +206,7 @@ def test_what_does_not_fit_the_layout_is_named() -> None:
         r"episodes\[0\]\.scene_id: unknown scene 'builtin_m0_0'\. Did you mean": changed(
             "tidy_house", scene_id="x/builtin_m0_0.scene_instance.json"
         ),
-        r"episodes\[0\]\.targets: tidy_house handles 1 to 5 targets, got 0": changed(
+        r"episodes\[0\]: targets must be 1 to 5 for tidy_house, got 0": changed(
             "tidy_house", targets={}
         ),
         r"episodes\[0\]\.targets: unknown object '013_apple_:0000'": changed(
@@ -298,25 +299,20 @@ def test_a_home_without_a_fridge_is_refused_for_set_table() -> None:
             p for p in pack.homes[1].articulations if p.template != "fridge"
         ),
     )
-    with pytest.raises(
-        UsageError,
-        match=(
-            "task 'set_table' needs furniture with the role 'fridge_shelf', which these homes of pack "
-            f"'builtin' lack: '{bare.name}'"
-        ),
+    with refused(
+        where="task 'set_table'",
+        said="needs furniture with the role 'fridge_shelf', which these homes of pack "
+        f"'builtin' lack: '{bare.name}'",
     ):
         require_furniture(pack, [pack.homes[0], bare], "set_table")
     require_furniture(pack, [bare], "tidy_house")
     sim = CpuSimulator(
         Layout(replace(pack, homes=(pack.homes[0], bare)), roster("set_table")), 1, 1
     )
-    with pytest.raises(UsageError, match="role 'fridge_shelf'"):
+    with refused(said="role 'fridge_shelf'"):
         EpisodeMaker(sim, "set_table", bare.split, home=bare.name)
     episode = replace(hab("set_table"), scene_id=f"{bare.name}.scene_instance.json")
-    with pytest.raises(
-        UsageError,
-        match=r"some\.json\.gz: episodes\[0\]\.scene_id: .*role 'fridge_shelf'",
-    ):
+    with refused(where="some.json.gz", said="role 'fridge_shelf'"):
         FileEpisodes(sim, HabFile((episode,), path=PATH), "set_table")
 
 

@@ -30,8 +30,8 @@ SHORT_EPISODES = dataclasses.replace(
     algorithm=SAC,
     ppo=None,
     sac=SacConfig(batch=8, warm_up=32, capacity=640, updates_per_step=0.25),
-    samples=432,
-    checkpoint_samples=144,
+    samples=288,
+    checkpoint_samples=96,
     horizon=5,
     worlds=4,
 )
@@ -86,7 +86,7 @@ def process(number: int, folder: str, port: int) -> None:
     check = sessions.ReinforcementSession.check_time
 
     def killed(self: sessions.ReinforcementSession) -> None:
-        if self.state.samples >= 300:
+        if self.state.samples >= 200:
             raise Killed
         check(self)
 

@@ -6,12 +6,12 @@ Every trap test fails when its cure in ``cameras.py``, ``scene.py`` or ``tracing
 from __future__ import annotations
 
 from types import ModuleType
+from typing import Any
 
 import numpy as np
 import pytest
 from torch import Tensor
 
-from mjhab.core.errors import UsageError
 from mjhab.layout.layout import Layout
 from mjhab.render.home_scene import HomeRenderer, build_render_scene
 from mjhab.robots.fetch.model import REST_QPOS
@@ -21,6 +21,7 @@ from mjhab.scenes.spec import PARKED, Home
 from mjhab.sim.mujoco.cpu import CpuSimulator
 from tests.missing import need_warp
 from tests.real_data import real_data
+from tests.refusals import refused
 from tests.warp_device import TEST_DEVICE
 
 need_warp()
@@ -328,12 +329,10 @@ def test_a_device_that_is_full_is_told(
 
     cameras = warp.WarpCameras(pair.sim, CAMERAS, SIZE, OUTPUTS)
     monkeypatch.setattr(warp.WarpCameras, "_draw", full)
-    with pytest.raises(
-        UsageError, match=f"3 worlds do not fit into the memory of {TEST_DEVICE}; try 1 "
-    ):
+    with refused(said=f"3 worlds do not fit into the memory of {TEST_DEVICE}; try 1 "):
         cameras.draw()
     monkeypatch.setattr(warp.WarpCameras, "_make_images", full)
-    with pytest.raises(UsageError, match="3 worlds do not fit"):
+    with refused(said="3 worlds do not fit"):
         warp.WarpCameras(pair.sim, CAMERAS, SIZE, OUTPUTS)
 
 
@@ -417,17 +416,17 @@ def test_meshes_are_decimated_to_a_budget(pair: Pair) -> None:
 
 
 @pytest.mark.parametrize(
-    ("cameras", "outputs", "size", "said"),
+    ("cameras", "outputs", "size", "told"),
     [
-        (("fetch_hed",), ("rgb",), (8, 8), "fetch_head"),
-        (CAMERAS, ("rgbd",), (8, 8), "rgb"),
-        ((), ("rgb",), (8, 8), "no camera"),
-        (CAMERAS, (), (8, 8), "no output"),
-        (CAMERAS, ("rgb",), (0, 8), "size"),
+        (("fetch_hed",), ("rgb",), (8, 8), dict(option="camera", given="fetch_hed")),
+        (CAMERAS, ("rgbd",), (8, 8), dict(option="output", given="rgbd")),
+        ((), ("rgb",), (8, 8), dict(where="WarpCameras", said="no camera")),
+        (CAMERAS, (), (8, 8), dict(where="WarpCameras", said="no output")),
+        (CAMERAS, ("rgb",), (0, 8), dict(option="size", given=(0, 8))),
     ],
 )
 def test_wrong_requests_are_refused(
-    pair: Pair, warp: ModuleType, cameras, outputs, size, said: str
+    pair: Pair, warp: ModuleType, cameras, outputs, size, told: dict[str, Any]
 ) -> None:
-    with pytest.raises(UsageError, match=said):
+    with refused(**told):
         warp.WarpCameras(pair.sim, cameras, size, outputs)

@@ -28,6 +28,7 @@ from mjhab.scenes.shapes.meshes import Mesh
 from mjhab.scenes.shapes.simplify import simplify
 from mjhab.scenes.spec import Geom, ObjectType
 from tests.real_data import real_data
+from tests.refusals import refused
 
 BOXES = (
     "003_cracker_box",
@@ -223,9 +224,7 @@ def copy_of(tmp_path: Path, *, without: str = "") -> Path:
 
 
 def test_a_missing_scan_is_named_with_the_command_that_gets_it(tmp_path: Path) -> None:
-    with pytest.raises(
-        UsageError, match=r"no 013_apple/textured\.glb.*mjhab assets fetch ycb"
-    ):
+    with refused(where=tmp_path, said="YCB folder without 013_apple/textured.glb"):
         read_ycb(copy_of(tmp_path, without=APPLE))
 
 

@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mjhab.core.errors import UsageError
 from mjhab.tasks.rewards.table import RewardView, closed_near, near
 from mjhab.tasks.scoring import DenseReward, RewardOptions, reward_table
 from mjhab.tasks.subtasks.registry import SUBTASKS, number_of
 from mjhab.tasks.thresholds import SubtaskConfig
+from tests.refusals import refused
 from tests.tasks.build import CONFIG, REST, squeeze
 from tests.tasks.rewards.states import (
     AT_REST,
@@ -472,18 +472,18 @@ def test_other_scales_change_the_term_and_the_normaliser() -> None:
 
 
 @pytest.mark.parametrize(
-    ("scales", "said"),
+    ("scales", "option"),
     [
-        ({"grab": {"reach": 1.0}}, "pick"),
-        ({"pick": {"reech": 1.0}}, "Did you mean 'reach'"),
+        ({"grab": {"reach": 1.0}}, "subtask"),
+        ({"pick": {"reech": 1.0}}, "reward term of pick"),
         ({"open": {"hold": 1.0}}, "reward term of open"),
-        ({"pick": {"reach": math.nan}}, "finite"),
-        ({"pick": {"reach": True}}, "finite"),
-        ({"pick": {"reach": "5"}}, "finite"),
+        ({"pick": {"reach": math.nan}}, "the scale of reward term pick.reach"),
+        ({"pick": {"reach": True}}, "the scale of reward term pick.reach"),
+        ({"pick": {"reach": "5"}}, "the scale of reward term pick.reach"),
     ],
 )
-def test_scales_that_do_not_exist_are_refused(scales: Any, said: str) -> None:
-    with pytest.raises(UsageError, match=said):
+def test_scales_that_do_not_exist_are_refused(scales: Any, option: str) -> None:
+    with refused(option):
         DenseReward(CONFIG, RewardOptions(scales))
 
 
@@ -491,12 +491,12 @@ def test_raw_values_are_paired_by_name() -> None:
     sharpness = {"reach": 1.0, "rest": 0.0}
     raw = near(sharpness, {"rest": np.array([9.0]), "reach": np.array([2.0])})
     assert raw["rest"][0] == 1.0 and raw["reach"][0] == pytest.approx(1 - tanh(2.0))
-    with pytest.raises(UsageError, match="only one has raech, reach"):
+    with refused("distances", "raech, reach"):
         near(sharpness, {"rest": np.array([9.0]), "raech": np.array([2.0])})
 
 
 def test_a_kind_that_was_not_announced_is_refused() -> None:
-    with pytest.raises(UsageError, match="place"):
+    with refused(said="place"):
         DenseReward(CONFIG, kinds=("pick",)).score(view_of([PLACE]))
 
 

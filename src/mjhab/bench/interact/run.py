@@ -24,7 +24,7 @@ from mjhab.bench.interact.scene import (
 )
 from mjhab.bench.specs import InteractSpec
 from mjhab.core.arrays import to_numpy
-from mjhab.core.errors import UsageError
+from mjhab.core.errors import wrong_value
 from mjhab.core.files.cache import write_atomic
 from mjhab.core.machine import resident_mb
 from mjhab.core.progress import progress_bar
@@ -203,8 +203,8 @@ def measure_interact(
         UsageError: more steps than are recorded, or no room for the worlds.
     """
     if spec.steps > STEPS:
-        raise UsageError(
-            f"--steps must be at most {STEPS}, as many as are recorded; got {spec.steps}."
+        raise wrong_value(
+            "steps", spec.steps, f"at most {STEPS}, as many as are recorded"
         )
     backend = resolve(spec.asked.backend)
     render = not spec.no_render

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Annotated
 
 from mjhab.cli.output import Listing, report
-from mjhab.core.errors import UsageError
+from mjhab.core.errors import fault, wrong_value
 from mjhab.core.files.cache import write_atomic
 from mjhab.core.typed.bounds import Output
 from mjhab.core.typed.flags import Flag
@@ -106,14 +106,15 @@ def copy_examples(folder: Path) -> int:
     """
     places = {path: folder / path.relative_to(SOURCE) for path in _files()}
     if folder.exists() and not folder.is_dir():
-        raise UsageError(f"--out {folder} is a file; the examples need a folder.")
+        raise wrong_value("out", str(folder), "a folder, not a file")
     changed = [
         str(p) for f, p in places.items() if p.exists() and not filecmp.cmp(f, p, False)
     ]
     if changed:
-        raise UsageError(
-            f"{folder} has files that differ from the examples: {', '.join(changed)}. They are not overwritten; "
-            "choose another --out."
+        raise fault(
+            folder,
+            f"has files that differ from the examples: {', '.join(changed)}. They are not overwritten; "
+            "choose another --out.",
         )
     new = {file: place for file, place in places.items() if not place.exists()}
     for file, place in new.items():

@@ -10,7 +10,7 @@ from typing import Any
 from mjhab.cli.exits import stopped
 from mjhab.cli.output import Listing, print_json, report, tell_caution
 from mjhab.cli.policies.evaluate import ProgressSink
-from mjhab.core.errors import UsageError
+from mjhab.core.errors import fault
 from mjhab.core.files.cache import write_atomic
 from mjhab.core.files.interrupts import sigterm_interrupts
 from mjhab.core.progress import progress_bar
@@ -164,7 +164,7 @@ def run_table(spec: LeaderboardSpec, json: bool) -> int:
     for path, result in zip(spec.files, results, strict=True):
         first = places.setdefault(result.digest, path)
         if first != path:
-            raise UsageError(f"{first} and {path} are the same result; give one of them.")
+            raise fault(first, f"the same result as {path}; give one of them.")
     text = leaderboard(results)
     page = spec.page
     if page is None:

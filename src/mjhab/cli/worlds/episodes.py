@@ -22,7 +22,7 @@ from rich.progress import (
 from mjhab.cli.output import Listing, report
 from mjhab.cli.streams import with_way_on
 from mjhab.config.env_spec import EnvSpec, env_options
-from mjhab.core.errors import MjhabError, UsageError
+from mjhab.core.errors import MjhabError, fault, wrong_value
 from mjhab.core.files.reading import read_json_object
 from mjhab.core.machine import cores
 from mjhab.core.names import kind_of
@@ -74,7 +74,9 @@ class EpisodesMakeSpec(EnvSpec):
     def __post_init__(self) -> None:
         super().__post_init__()
         if not self.out.name.endswith(SUFFIXES):
-            raise UsageError(f"--out must end with .json or .json.gz, got {self.out}.")
+            raise wrong_value(
+                "out", str(self.out), "a name that ends with .json or .json.gz"
+            )
         _ = self.asked
 
 
@@ -201,7 +203,7 @@ def check_manifest(file: HabFile) -> None:
     try:
         listed = [row["hash"] for row in read_json_object(beside)["episodes"]]
     except (KeyError, TypeError) as error:
-        raise UsageError(f"{beside}: not a manifest of episodes ({error}).") from error
+        raise fault(beside, f"not a manifest of episodes ({error}).") from error
     found = [state_hash(episode) for episode in file.episodes]
     if found != listed:
         k = next(

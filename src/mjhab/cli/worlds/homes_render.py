@@ -11,7 +11,7 @@ from typing import Annotated, Any
 from mjhab.cli.output import report
 from mjhab.cli.worlds.home_names import find_home, homes_of_split
 from mjhab.config.env_spec import EnvSpec, env_options
-from mjhab.core.errors import UsageError
+from mjhab.core.errors import missing_field, wrong_value
 from mjhab.core.files.cache import write_atomic
 from mjhab.core.progress import progress_bar
 from mjhab.core.typed.bounds import Bound, Output
@@ -68,14 +68,17 @@ class HomesRenderSpec(EnvSpec):
         super().__post_init__()
         _check_out(self.out, (PNG, HTML) if self.all else (PNG,))
         if self.all and self.name:
-            raise UsageError(
-                f"give a home or --all, not both (got {self.name!r} and --all)."
-            )
+            raise wrong_value("name", self.name, "left out with --all")
         if not self.all and "split" in self.env:
-            raise UsageError("--split needs --all: one home is drawn by its name.")
+            raise wrong_value(
+                "split",
+                self.env["split"],
+                "left out without --all: one home is drawn by its name",
+            )
         if not self.all and not self.name:
-            raise UsageError(
-                "name a home (see: mjhab homes list), or draw all of them with --all."
+            raise missing_field(
+                "name",
+                advice="Name a home (see: mjhab homes list), or draw all of them with --all.",
             )
 
     @property
@@ -100,11 +103,11 @@ def render(spec: HomesRenderSpec, json: bool) -> int:
 
 def _check_out(out: Path, endings: tuple[str, ...]) -> None:
     if out.suffix.lower() not in endings:
-        raise UsageError(f"--out must end with {' or '.join(endings)}, got {out}.")
-    if out.is_dir():
-        raise UsageError(
-            f"--out {out} is a folder; give the name of a {endings[0]} file."
+        raise wrong_value(
+            "out", str(out), f"a name that ends with {' or '.join(endings)}"
         )
+    if out.is_dir():
+        raise wrong_value("out", str(out), f"a {endings[0]} file, not a folder")
 
 
 def render_one(spec: HomesRenderSpec, json: bool) -> int:

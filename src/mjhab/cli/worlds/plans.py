@@ -10,7 +10,7 @@ from typing import Annotated, Any
 
 from mjhab.cli.output import report
 from mjhab.config.env_spec import EnvSpec, env_options
-from mjhab.core.errors import UsageError
+from mjhab.core.errors import fault
 from mjhab.core.machine import cores
 from mjhab.core.progress import progress_bar
 from mjhab.core.typed.bounds import Output, Positive
@@ -67,7 +67,7 @@ def make(spec: EpisodesPlansSpec, json: bool) -> int:
     asked = spec.asked
     before = written_before(asked, spec.out, spec.subtasks)
     if before and not spec.overwrite:
-        raise UsageError(f"{before[0]} exists; add --overwrite, or choose another --out.")
+        raise fault(before[0], "exists; add --overwrite, or choose another --out.")
     begun = time.perf_counter()
     with progress_bar(f"{asked.task} {asked.split}", spec.count) as advance:
         made = make_plans(

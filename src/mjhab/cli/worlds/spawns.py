@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from mjhab.cli.output import Listing, report
 from mjhab.config.env_spec import PROFILE, EnvSpec, env_options
-from mjhab.core.errors import UsageError
+from mjhab.core.errors import UsageError, fault
 from mjhab.core.machine import cores
 from mjhab.core.progress import progress_bar
 from mjhab.core.typed.bounds import Output, Positive
@@ -143,8 +143,9 @@ def list_sets(spec: SpawnsListSpec, json: bool) -> int:
 
     path = spec.path
     if not path.exists():
-        raise UsageError(
-            f"{path} does not exist; `mjhab spawns make --out FILE{SPAWNS_SUFFIX}` makes a set."
+        raise fault(
+            path,
+            f"does not exist; `mjhab spawns make --out FILE{SPAWNS_SUFFIX}` makes a set.",
         )
     files = sorted(path.glob(f"[!.]*{SPAWNS_SUFFIX}")) if path.is_dir() else [path]
     found = []

@@ -13,7 +13,7 @@ from typing import IO
 
 import numpy as np
 
-from mjhab.core.errors import UsageError, fault
+from mjhab.core.errors import fault
 from mjhab.core.files.reading import check_file, reason
 
 _MB = 2**20
@@ -111,6 +111,6 @@ def open_arrays(
     except KeyError as error:
         raise fault(path, f"array {error} is missing; this is no {what}.") from error
     except _DAMAGE as error:
-        raise UsageError(
-            f"{path} is no {what}, or is damaged ({reason(error)}); {remedy}."
+        raise fault(
+            path, f"no {what}, or is damaged ({reason(error)}); {remedy}."
         ) from error

@@ -14,7 +14,7 @@ import os
 import socket
 from pathlib import Path
 
-from mjhab.core.errors import UsageError
+from mjhab.core.errors import UsageError, fault
 
 try:
     import fcntl
@@ -124,6 +124,5 @@ def _owner(lock: Path) -> str:
 
 def _is_taken(path: Path, what: Path | None, owner: str) -> UsageError:
     kind = "folder" if what else "file"
-    return UsageError(
-        f"{what or path} is being written by {owner}. Wait until it has finished, or write to another {kind}."
-    )
+    problem = f"is being written by {owner}. Wait until it has finished, or write to another {kind}."
+    return fault(what or path, problem)

@@ -10,10 +10,9 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from mjhab.core.errors import UsageError
+from mjhab.core.errors import shown, wrong_value
 from mjhab.core.files.reading import reason
 
-_MAX_SHOWN_CHARACTERS = 80
 DISK_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
 """What the system says of a full or broken disk."""
 
@@ -49,8 +48,11 @@ def check_output(path: Path, option: str = "--out") -> None:
             raise OSError("it is neither a file nor a folder")
         _probe(path)
     except (OSError, ValueError) as error:
-        raise UsageError(
-            f"{option} {_shown(path)} cannot be written ({reason(error)}); choose another place."
+        raise wrong_value(
+            option,
+            str(path),
+            f"a place that can be written ({reason(error)})",
+            "Choose another.",
         ) from error
 
 
@@ -68,12 +70,14 @@ def check_file(path: Path, suffix: str, option: str = "--out") -> None:
     example = path.with_suffix(suffix)
     if path.is_dir():
         example = path / f"report{suffix}"
-        raise UsageError(
-            f"{option} {_shown(path)} is a folder; give a file such as {example}."
+        raise wrong_value(
+            option, str(path), f"a file such as {shown(str(example))}, not a folder"
         )
     if path.suffix.lower() != suffix:
-        raise UsageError(
-            f"{option} {_shown(path)} must end with {suffix}, for instance {_shown(example)}."
+        raise wrong_value(
+            option,
+            str(path),
+            f"a name that ends with {suffix}, for instance {shown(str(example))}",
         )
 
 
@@ -88,7 +92,7 @@ def check_folder(path: Path, option: str = "--out") -> None:
         UsageError: it is a file.
     """
     if path.is_file():
-        raise UsageError(f"{option} {_shown(path)} is a file; give a folder.")
+        raise wrong_value(option, str(path), "a folder, not a file")
 
 
 def _probe(path: Path) -> None:
@@ -110,15 +114,6 @@ def _probe(path: Path) -> None:
     if any(len(os.fsencode(name)) > longest for name in new):
         raise OSError(errno.ENAMETOOLONG, os.strerror(errno.ENAMETOOLONG))
     os.rmdir(tempfile.mkdtemp(prefix=".mjhab-", dir=above))
-
-
-def _shown(path: Path) -> str:
-    text = str(path)
-    return (
-        text
-        if len(text) <= _MAX_SHOWN_CHARACTERS
-        else f"{text[:_MAX_SHOWN_CHARACTERS]}..."
-    )
 
 
 def differences(before: Mapping[str, Any], now: Mapping[str, Any]) -> str:

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from mjhab.core.errors import UsageError, about, fault, shown
+from mjhab.core.errors import about, fault, shown
 
 MAX_JSON_MB = 256
 """Largest JSON text that is read [MB], after it was unpacked; 10,000 episodes in the HAB format take about 90."""
@@ -27,7 +27,7 @@ def check_file(path: Path, most_mb: float = math.inf) -> None:
     """
     try:
         if path.exists() and not path.is_file():
-            raise UsageError(f"{path} is not a file.")
+            raise fault(path, "not a file.")
         size = path.stat().st_size
     except (OSError, ValueError) as error:
         raise fault(path, f"cannot be read ({reason(error)}).") from error

@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, ClassVar, Self
 
-from mjhab.core.errors import UsageError
+from mjhab.core.errors import UsageError, wrong_value
 from mjhab.core.files.cache import write_atomic
 from mjhab.core.files.locking import WriteLock, lock_path, refuse_if_written
 from mjhab.core.files.outputs import check_output
@@ -62,12 +62,10 @@ class RunFolder:
                 holds no run, or one with another config; another process is writing into it; ``path`` is a file.
         """
         if resume and overwrite:
-            raise UsageError(
-                "--resume and --overwrite exclude each other; give one of them."
-            )
+            raise wrong_value("resume", True, "left out with overwrite")
         check_output(path)
         if path.exists() and not path.is_dir():
-            raise UsageError(f"the output path {path} is a file; give a folder.")
+            raise wrong_value("out", str(path), "a folder, not a file")
         refuse_if_written(path / cls.CONFIG_FILE, path)
         cls._check_content(path, config, resume=resume, overwrite=overwrite)
 
@@ -175,9 +173,11 @@ class RunFolder:
         found = cls._content(path) if path.exists() else []
         again = "--overwrite to start it again, " if cls.OWN else ""
         if found and not (resume or overwrite):
-            raise UsageError(
-                f"the output folder {path} is not empty (it holds {_some(found)}). Give --resume to continue that run, "
-                f"{again}or another --out."
+            raise wrong_value(
+                "out",
+                str(path),
+                f"empty, but holds {_some(found)}",
+                f"Give --resume to continue that run, {again}or another --out.",
             )
         if found and resume:
             cls._check_same(path, json.loads(json.dumps(config)))
@@ -190,8 +190,11 @@ class RunFolder:
             UsageError: names the differences, the version of mjhab among them.
         """
         if not (path / cls.CONFIG_FILE).is_file():
-            raise UsageError(
-                f"nothing to resume in {path}: it has no {cls.CONFIG_FILE}. Give an empty or new folder as --out."
+            raise wrong_value(
+                "resume",
+                str(path),
+                f"a folder with {cls.CONFIG_FILE}",
+                "There is nothing to resume. Give an empty or new folder as --out.",
             )
         try:
             old = read_json_object(path / cls.CONFIG_FILE)

@@ -21,7 +21,7 @@ from dataclasses import dataclass, field
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 
-from mjhab.core.errors import MjhabError, UsageError, shown
+from mjhab.core.errors import MjhabError, fault, wrong_value
 from mjhab.core.files.reading import reason
 
 ENTRY_POINT_GROUP = "mjhab.plugins"
@@ -101,9 +101,7 @@ def _place(path: str | Path) -> Path:
     try:
         place = Path(path).expanduser().resolve()
     except (TypeError, ValueError, RuntimeError, OSError) as error:
-        raise UsageError(
-            f"{shown(path)} is no path of a plugin ({reason(error)})."
-        ) from error
+        raise wrong_value("plugin", path, f"a path ({reason(error)})") from error
     return place.parent if place.name == "__init__.py" else place
 
 
@@ -128,7 +126,7 @@ def failed_plugins() -> str:
     problems = "; ".join(
         f"{plugin.name}: {plugin.error.rstrip(' .')}" for plugin in failed
     )
-    return f" Plugins that could not be loaded: {problems}."
+    return f"Plugins that could not be loaded: {problems}."
 
 
 def current_source() -> str:
@@ -194,9 +192,7 @@ def _import_path(path: Path) -> None:
     """
     file = path / "__init__.py" if path.is_dir() else path
     if not file.is_file() or file.suffix != ".py":
-        raise UsageError(
-            f"{path} is neither a Python file nor a folder with an __init__.py."
-        )
+        raise fault(path, "neither a Python file nor a folder with an __init__.py.")
     name = (
         _MODULE_PREFIX
         + path.stem
@@ -288,20 +284,18 @@ def referred(reference: str) -> object:
     """
     module, colon, name = reference.partition(":")
     if not (module and colon and name):
-        raise UsageError(
-            f"{reference!r} is no reference; expected 'package.module:name'."
-        )
+        raise wrong_value("reference", reference, "'package.module:name'")
     try:
         found = importlib.import_module(module)
     except MjhabError:
         raise
     # The module may be code of others, which raises whatever it likes.
     except Exception as error:
-        raise UsageError(
-            f"module {module!r}, which {reference!r} refers to, cannot be imported: {raised_text(error)}."
+        raise wrong_value(
+            "reference",
+            reference,
+            f"in a module that can be imported; it raises {raised_text(error)}",
         ) from error
     if not hasattr(found, name):
-        raise UsageError(
-            f"module {module!r} has no {name!r}, which {reference!r} refers to."
-        )
+        raise wrong_value("reference", reference, f"a name that module {module!r} has")
     return getattr(found, name)

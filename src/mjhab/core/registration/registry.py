@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import reprlib
 from collections.abc import Iterator, Mapping
 from typing import Generic, TypeVar, cast
 
-from mjhab.core.errors import UsageError, unknown_name
+from mjhab.core.errors import fault, unknown_name, wrong_type, wrong_value
 from mjhab.core.names import check_name
 from mjhab.core.registration import plugins
 
@@ -39,12 +38,11 @@ class Registry(Generic[Item]):
         check_name(f"name of the {self._what}", name)
         source = plugins.current_source()
         if name in self._names:
-            raise UsageError(
-                f"{self._what} {name!r} is registered twice: by {self._owner(name)} and by {_who(source)}. "
+            raise wrong_value(
+                self._what,
+                name,
+                f"registered once: {self._owner(name)} and {_who(source)} do it",
                 "Give one of them another name.",
-                option=self._what,
-                given=name,
-                expected="registered once",
             )
         self._items[name] = item
         self._names[name] = source
@@ -63,9 +61,7 @@ class Registry(Generic[Item]):
             UsageError: nobody has registered the name.
         """
         if name not in self._names or name in self._references:
-            raise UsageError(
-                f"{self._what} {name!r} has not been registered by a plugin."
-            )
+            raise fault(self._what, f"{name!r} has not been registered by a plugin.")
         del self._items[name]
         del self._names[name]
         self.version += 1
@@ -89,9 +85,8 @@ class Registry(Generic[Item]):
         """
         # Callers from outside of the type checker give anything, lists too.
         if not isinstance(name, str) or name not in self._names:
-            error = unknown_name(self._what, name, self._names)
-            error.args = (f"{error}{plugins.failed_plugins()}",)
-            raise error
+            advice = plugins.failed_plugins()
+            raise unknown_name(self._what, name, self._names, advice=advice)
         return name
 
     def __contains__(self, name: object) -> bool:
@@ -142,14 +137,12 @@ def check_item(function: str, item: object, kind: type) -> None:
     """
     if isinstance(item, kind):
         return
-    given = (
-        "the class itself"
-        if item is kind
-        else f"{reprlib.repr(item)} ({type(item).__name__})"
-    )
-    raise UsageError(
-        f"mjhab.{function} expects a {kind.__name__}, got {given}. "
-        f"Make one first: mjhab.{function}({kind.__name__}(...))."
+    raise wrong_type(
+        "argument",
+        item,
+        f"a {kind.__name__}",
+        f"Make one first: mjhab.{function}({kind.__name__}(...)).",
+        f"mjhab.{function}",
     )
 
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from mjhab.core.errors import MjhabError, UsageError
+from mjhab.core.errors import MjhabError, UsageError, fault, wrong_value
 from mjhab.core.files.cache import write_atomic
 from mjhab.core.files.locking import WriteLock
 from mjhab.core.files.outputs import differences
@@ -51,8 +51,10 @@ class ExportTarget:
 
     def __post_init__(self) -> None:
         if self.out.name in ("", ".."):
-            raise UsageError(
-                f"--out {self.out} does not name a new folder; give its name, such as --out {self.out / 'export'}."
+            raise wrong_value(
+                "out",
+                str(self.out),
+                f"the name of a new folder, such as {self.out / 'export'}",
             )
 
     @property
@@ -140,24 +142,25 @@ def _check(target: ExportTarget, job: dict[str, Any]) -> None:
     out = target.out
     if out.exists():
         if not out.is_dir():
-            raise UsageError(f"{out} is a file; name a folder as --out.")
+            raise fault(out, "a file; name a folder as --out.")
         if not target.overwrite:
-            raise UsageError(
-                f"{out} exists already; name another folder as --out, or give --overwrite."
+            raise fault(
+                out, "exists already; name another folder as --out, or give --overwrite."
             )
         foreign = target.foreign(out) if any(out.iterdir()) else ""
         if foreign:
-            raise UsageError(
-                f"{out} does not hold an export ({foreign}), so it is not overwritten."
+            raise fault(
+                out, f"does not hold an export ({foreign}), so it is not overwritten."
             )
     if not target.begun:
         return
     if target.resume:
         other = differences(read_json_object(target.part / JOB), job)
         if other:
-            raise UsageError(
-                f"the unfinished export to {out} has another {other}. Give the same options and episodes, or "
-                "--overwrite without --resume to start again."
+            raise fault(
+                f"unfinished export to {out}",
+                f"has another {other}. Give the same options and episodes, or "
+                "--overwrite without --resume to start again.",
             )
     elif not target.overwrite:
         raise UsageError(

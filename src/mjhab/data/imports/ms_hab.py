@@ -19,7 +19,7 @@ import numpy as np
 
 from mjhab.core.arithmetic.sums import ordered_sum
 from mjhab.core.conventions.names import OBJECT_AXES, SCAN_AXES
-from mjhab.core.errors import UsageError
+from mjhab.core.errors import fault, wrong_value
 from mjhab.core.files.reading import parse_json, read_bytes, reason
 from mjhab.data.imports.ms_hab_layout import (
     ACTIONS,
@@ -98,8 +98,8 @@ def import_ms_hab(
     source = _Source.read(path, origin or Origin())
     shard = out / source.task / source.subtask / path.name
     if shard.resolve() == path.resolve():
-        raise UsageError(
-            f"--out {out} would overwrite {path} with the shard; give another folder."
+        raise wrong_value(
+            "out", str(out), f"a folder whose shard does not overwrite {path}"
         )
     after = begin(len(source.trajectories)) if begin else None
     written = frames = present = 0
@@ -118,9 +118,7 @@ def import_ms_hab(
                 if after is not None:
                     after()
     except UNREADABLE as error:
-        raise UsageError(
-            f"{path} cannot be read as data of MS-HAB: {reason(error)}"
-        ) from error
+        raise fault(path, f"cannot be read as data of MS-HAB: {reason(error)}") from error
     return Imported(written, frames, present, shard)
 
 
@@ -141,19 +139,20 @@ class _Source:
         _check_file(path)
         beside = path.with_suffix(".json")
         if not beside.is_file():
-            raise UsageError(
-                f"{path} has no {beside.name} beside it, which describes its trajectories."
+            raise fault(
+                path, f"has no {beside.name} beside it, which describes its trajectories."
             )
         text = read_bytes(beside)
         try:
             header = parse_json(text)
         except ValueError as error:
-            raise UsageError(f"{beside} is not valid JSON: {error}") from error
+            raise fault(beside, f"not valid JSON: {error}") from error
         if not isinstance(header, Mapping) or not isinstance(
             header.get("episodes"), list
         ):
-            raise UsageError(
-                f"{beside} has no list 'episodes'; give a file as MS-HAB's generator writes it."
+            raise fault(
+                beside,
+                "has no list 'episodes'; give a file as MS-HAB's generator writes it.",
             )
         trajectories = header["episodes"]
         try:
@@ -161,7 +160,7 @@ class _Source:
             for number, each in enumerate(trajectories):
                 check_episode(number, each)
         except ValueError as error:
-            raise UsageError(f"{beside}: {error}") from error
+            raise fault(beside, str(error)) from error
         # The list may have another order than the trajectories.
         trajectories = sorted(trajectories, key=lambda each: each["episode_id"])
         subtask = _subtask(path, header)
@@ -280,26 +279,30 @@ class _Source:
         """One trajectory as an episode."""
         name = f"{TRAJECTORY}{metadata['episode_id']}"
         if name not in file:
-            raise UsageError(
-                f"{self.path} has no {name}, which {self.path.with_suffix('.json').name} lists."
+            raise fault(
+                self.path,
+                f"has no {name}, which {self.path.with_suffix('.json').name} lists.",
             )
         trajectory = group(file, name)
         missing = [key for key in (*ARRAYS, *GROUPS) if key not in trajectory]
         if missing:
-            raise UsageError(
-                f"{self.path}: {name} has no {', '.join(missing)}; it has {', '.join(trajectory)}."
+            raise fault(
+                self.path,
+                f"{name} has no {', '.join(missing)}; it has {', '.join(trajectory)}.",
             )
         arrays, columns = trajectory_arrays(trajectory, self._turn(metadata, run))
         steps = len(arrays["actions"])
         if steps != int(metadata["elapsed_steps"]) or steps < 1:
-            raise UsageError(
-                f"{self.path}: {name} has {steps} actions, and the JSON says {metadata['elapsed_steps']} steps."
+            raise fault(
+                self.path,
+                f"{name} has {steps} actions, and the JSON says {metadata['elapsed_steps']} steps.",
             )
         names = run.layout.get("actions")
         if names is not None and arrays["actions"].shape[1] != len(names):
-            raise UsageError(
-                f"{self.path}: {name} has actions of {arrays['actions'].shape[1]} numbers; {self._control_mode()} has "
-                f"{len(names)} ({', '.join(names)}). Give data of the robot {ENV['robot']!r}."
+            raise fault(
+                self.path,
+                f"{name} has actions of {arrays['actions'].shape[1]} numbers; {self._control_mode()} has "
+                f"{len(names)} ({', '.join(names)}). Give data of the robot {ENV['robot']!r}.",
             )
         # What the file says is checked as it is where a shard is read: names become parts of paths.
         record = EpisodeRecord.from_dict(self._record(metadata, index, arrays).to_dict())
@@ -379,23 +382,23 @@ class _Source:
 
 def _check_file(path: Path) -> None:
     if not path.is_file():
-        raise UsageError(
-            f"{path} does not exist or is not a file; give a file of MS-HAB's data set, such as 024_bowl.h5."
+        raise fault(
+            path,
+            "does not exist or is not a file; give a file of MS-HAB's data set, such as 024_bowl.h5.",
         )
     try:
         with h5py.File(path, "r") as file:
             names = list(file)
             is_shard = str(read_attributes(file).get("format")) == FORMAT
     except UNREADABLE as error:
-        raise UsageError(f"{path} is not an HDF5 file: {reason(error)}") from error
+        raise fault(path, f"not an HDF5 file: {reason(error)}") from error
     if is_shard:
-        raise UsageError(
-            f"{path} is a shard of mjhab already; there is nothing to import."
-        )
+        raise fault(path, "a shard of mjhab already; there is nothing to import.")
     if not any(name.startswith(TRAJECTORY) for name in names):
-        raise UsageError(
-            f"{path} has no groups {TRAJECTORY}0, {TRAJECTORY}1, ... as the files of MS-HAB's data set have. It has: "
-            f"{', '.join(names[:6]) or 'nothing'}."
+        raise fault(
+            path,
+            f"has no groups {TRAJECTORY}0, {TRAJECTORY}1, ... as the files of MS-HAB's data set have. It has: "
+            f"{', '.join(names[:6]) or 'nothing'}.",
         )
 
 
@@ -403,9 +406,10 @@ def _task(path: Path, origin: Origin) -> str:
     """The task of a file; MS-HAB names the folder above the subtask's folder after it."""
     folder = path.resolve().parent.parent.name
     if origin.task is None and folder not in TASKS:
-        raise UsageError(
-            f"{path} does not lie in a folder <task>/<subtask>, and the file itself does not say its task; give --task "
-            f"({', '.join(TASKS)})."
+        raise fault(
+            path,
+            "does not lie in a folder <task>/<subtask>, and the file itself does not say its task; give --task "
+            f"({', '.join(TASKS)}).",
         )
     return origin.task or folder
 
@@ -416,9 +420,10 @@ def _subtask(path: Path, header: Mapping[str, Any]) -> str:
     kind = found[1].lower() if found else path.resolve().parent.name
     if kind not in SUBTASKS:
         valid = ", ".join(f"{name.capitalize()}SubtaskTrain-v0" for name in SUBTASKS)
-        raise UsageError(
-            f"{path} is of {env or 'an environment it does not name'}. Files of one subtask can be imported ({valid}); "
-            "those of whole chains do not say which subtask was active when."
+        raise fault(
+            path,
+            f"of {env or 'an environment it does not name'}. Files of one subtask can be imported ({valid}); "
+            "those of whole chains do not say which subtask was active when.",
         )
     return kind
 

@@ -7,7 +7,7 @@ import warnings
 from pathlib import Path
 from typing import Any
 
-from mjhab.core.errors import UsageError
+from mjhab.core.errors import fault
 
 
 def read_torch(path: Path, what: str, remedy: str) -> Any:
@@ -25,7 +25,7 @@ def read_torch(path: Path, what: str, remedy: str) -> Any:
     import torch
 
     if not path.is_file():
-        raise UsageError(f"{path} does not exist or is no file; give {what}.")
+        raise fault(path, f"does not exist or is no file; give {what}.")
     try:
         # Torch warns of files that it then refuses, and its errors advise to load them with weights_only=False.
         with warnings.catch_warnings():
@@ -34,19 +34,21 @@ def read_torch(path: Path, what: str, remedy: str) -> Any:
     except pickle.UnpicklingError as error:
         needed = _unsafe_names(path)
         if not needed:
-            raise UsageError(
-                f"{path} cannot be read as {what}: it is none, or holds more than tensors. Nothing in it was "
-                f"executed. {remedy}"
+            raise fault(
+                path,
+                f"cannot be read as {what}: it is none, or holds more than tensors. Nothing in it was "
+                f"executed. {remedy}",
             ) from error
-        raise UsageError(
-            f"{path} needs more than tensors and was refused; nothing in it was executed. It asks for: "
-            f"{', '.join(needed)}. {remedy}"
+        raise fault(
+            path,
+            "needs more than tensors and was refused; nothing in it was executed. It asks for: "
+            f"{', '.join(needed)}. {remedy}",
         ) from error
     except (
         Exception
     ) as error:  # a damaged pickle ends in any error: IndexError, TypeError, struct.error
         text = (str(error).splitlines() or [type(error).__name__])[0]
-        raise UsageError(f"{path} cannot be read as {what}: {text}") from error
+        raise fault(path, f"cannot be read as {what}: {text}") from error
 
 
 def _unsafe_names(path: Path) -> list[str]:

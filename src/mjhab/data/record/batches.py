@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 
-from mjhab.core.errors import UsageError
+from mjhab.core.errors import fault
 from mjhab.data.record.worlds import RecordedEnv
 from mjhab.data.select.query import Filter
 from mjhab.data.select.sets import nothing_passes
@@ -56,8 +56,9 @@ def require_states(members: Sequence[EpisodeEntry]) -> None:
     """
     for episode in members:
         if "states/initial" in episode.run.absent:
-            raise UsageError(
-                f"episode {episode.name} of {episode.path} was imported from data without states, so it can "
+            raise fault(
+                f"episode {episode.name} of {episode.path}",
+                "was imported from data without states, so it can "
                 'neither be simulated again nor rendered; leave it out with a filter such as --where "policy == '
-                "'expert'\"."
+                "'expert'\".",
             )

@@ -17,7 +17,7 @@ from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from mjhab.core.errors import MjhabError, UsageError
+from mjhab.core.errors import MjhabError, UsageError, fault
 from mjhab.data.record.job import (
     TRIED,
     DataFolder,
@@ -231,9 +231,10 @@ class _Run:
         match message:
             case WorkerReady(run, targets):
                 if self.configs - {run.config_id}:
-                    raise UsageError(
-                        f"{self.job.out} holds episodes of another configuration (made by another version of mjhab, or "
-                        "with other options); choose another --out."
+                    raise fault(
+                        self.job.out,
+                        "holds episodes of another configuration (made by another version of mjhab, or "
+                        "with other options); choose another --out.",
                     )
                 self.run = run
                 self.quotas.targets = targets

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from mjhab.core.errors import UsageError
+from mjhab.core.errors import fault
 from mjhab.core.files.cache import write_atomic
 from mjhab.core.files.reading import parse_json, read_bytes, reason
 from mjhab.core.files.run_folder import RunFolder
@@ -85,9 +85,7 @@ def read_tried(path: Path) -> list[Outcome]:
     try:
         lines = read_bytes(path).decode("utf-8").splitlines(keepends=True)
     except UnicodeDecodeError as error:
-        raise UsageError(
-            f"{path} is damaged ({reason(error)}); choose another --out."
-        ) from error
+        raise fault(path, f"damaged ({reason(error)}); choose another --out.") from error
     whole = [line for line in lines if line.endswith("\n")]
     if whole != lines:
         write_atomic(
@@ -96,6 +94,4 @@ def read_tried(path: Path) -> list[Outcome]:
     try:
         return [Outcome.from_dict(parse_json(line)) for line in whole]
     except (ValueError, TypeError) as error:
-        raise UsageError(
-            f"{path} is damaged ({reason(error)}); choose another --out."
-        ) from error
+        raise fault(path, f"damaged ({reason(error)}); choose another --out.") from error

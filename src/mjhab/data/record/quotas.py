@@ -13,7 +13,7 @@ from collections.abc import Iterable
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from mjhab.core.errors import UsageError
+from mjhab.core.errors import wrong_value
 
 _NONE = 1 << 62
 
@@ -83,8 +83,10 @@ class Quotas:
         self, targets: Iterable[str] = (), per_target: int = 0, per_label: int = 0
     ) -> None:
         if per_target < 0 or per_label < 0:
-            raise UsageError(
-                f"quotas must be at least 0 (no limit); got {per_target} per target, {per_label} per label."
+            raise wrong_value(
+                "quotas",
+                (per_target, per_label),
+                "at least 0 per target and per label (0: no limit)",
             )
         self.targets = tuple(targets)
         self._per_target = per_target or _NONE

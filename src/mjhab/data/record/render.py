@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from mjhab.core.errors import UsageError
+from mjhab.core.errors import UsageError, fault, wrong_value
 from mjhab.core.version import __version__
 from mjhab.data.record.batches import MakeEnv, batches
 from mjhab.data.record.provenance import describe_views
@@ -105,8 +105,8 @@ def _render(
         for env, batch in batches(request.places, make_env, request.where):
             for episode in batch:
                 if episode.shard.path.resolve() == out.resolve():
-                    raise UsageError(
-                        f"--out {out} is one of the shards to replay; give a new file."
+                    raise wrong_value(
+                        "out", str(out), "a new file, not one of the shards to replay"
                     )
                 cameras = (
                     env.observer.cameras if request.cameras is None else request.cameras
@@ -156,9 +156,10 @@ def _refuse_others(
     """
     other = [name for name in wanted if rendered.get(name) != wanted[name]]
     if other:
-        raise UsageError(
-            f"{out} has episodes with other images (their {', '.join(other)}); give the options that it was made "
-            "with, or a new file as --out."
+        raise fault(
+            out,
+            f"has episodes with other images (their {', '.join(other)}); give the options that it was made "
+            "with, or a new file as --out.",
         )
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mjhab.core.errors import UsageError
+from mjhab.core.errors import fault
 from mjhab.data.store.reading import RecordedEpisode
 from mjhab.tasks.subtasks.registry import SUBTASKS
 
@@ -45,9 +45,10 @@ def targets_in_base(episode: RecordedEpisode) -> np.ndarray:
     for key in (OBJECT_KEY, GOAL_KEY):
         columns = state_columns(episode, key)
         if columns is None:
-            raise UsageError(
-                f"episode {episode.name} of {episode.shard.path} was recorded without {key} in its state, which views "
-                "of the target are turned to; render other images."
+            raise fault(
+                f"episode {episode.name} of {episode.shard.path}",
+                f"was recorded without {key} in its state, which views "
+                "of the target are turned to; render other images.",
             )
         found[key] = state[:, columns]
     goals = aims_at_goal(episode)[:, None]

@@ -16,7 +16,7 @@ import numpy as np
 import torch
 from torch.utils.data import Dataset, Sampler
 
-from mjhab.core.errors import UsageError, unknown_name
+from mjhab.core.errors import fault, unknown_name, wrong_value
 from mjhab.core.machine import available_mb
 from mjhab.core.seeding import stream
 from mjhab.data.select.frames import EncodedFrames, FrameStore, decoded_bytes
@@ -63,8 +63,8 @@ class Window:
 
     def __post_init__(self) -> None:
         if self.history < 1 or self.chunk < 1:
-            raise UsageError(
-                f"history and chunk must be at least 1, got {self.history} and {self.chunk}."
+            raise wrong_value(
+                "history and chunk", (self.history, self.chunk), "at least 1"
             )
         if self.labels not in LABELS:
             raise unknown_name("labels", self.labels, LABELS)
@@ -191,8 +191,8 @@ class WindowDataset(Dataset[dict[str, Any]]):
             )
         sizes = [each[-1].shape[1] for each in (self._states, self._actions)]
         if sizes != [each[0].shape[1] for each in (self._states, self._actions)]:
-            raise UsageError(
-                f"{where} differs from those before it in the sizes of state and action."
+            raise fault(
+                where, "differs from those before it in the sizes of state and action."
             )
         for image, frames in self._frames.items():
             frames.append(EncodedFrames.of(episode, image, steps + 1))

@@ -16,7 +16,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Any
 
-from mjhab.core.errors import UsageError, unknown_name
+from mjhab.core.errors import UsageError, unknown_name, wrong_value
 from mjhab.data.select.facts import FUNCTIONS, NUMBER, TEXT, TEXTS, TRUTH, Fact, facts
 from mjhab.data.store.episode_data import RunInfo
 from mjhab.rollout.records import EpisodeRecord
@@ -198,8 +198,8 @@ class _Compiler:
                 "the filter is empty; for instance: success and max_force < 1400",
             )
         if len(self.text) > LONGEST:
-            raise UsageError(
-                f"the filter has {len(self.text)} characters; at most {LONGEST} are read."
+            raise wrong_value(
+                "characters of the filter", len(self.text), f"at most {LONGEST}"
             )
         lead = len(self.text) - len(self.text.lstrip())
         self.text = self.text.replace("\n", " ").replace("\t", " ")

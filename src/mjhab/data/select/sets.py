@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from mjhab.core.arithmetic.sums import ordered_sum
-from mjhab.core.errors import UsageError
+from mjhab.core.errors import UsageError, fault, wrong_value
 from mjhab.core.files.locking import WriteLock
 from mjhab.core.names import below, check_name
 from mjhab.data.select.facts import target_of
@@ -171,7 +171,7 @@ def merge(places: Sequence[Path], out: Path, where: Filter | None = None) -> Mer
         UsageError: ``out`` is or lies in one of the sources; or an episode occurs twice with different contents.
     """
     if any(path.resolve() == out.resolve() for path in shard_paths(places)):
-        raise UsageError(f"--out {out} is one of the shards to merge; give a new file.")
+        raise wrong_value("out", str(out), "a new file, not one of the shards to merge")
     check_outside(places, out)
     found = select(places, where, copies=True)
     present = {e.name: e.digest for e in entries(out)} if out.exists() else {}
@@ -183,9 +183,10 @@ def merge(places: Sequence[Path], out: Path, where: Filter | None = None) -> Mer
             digests[name] = digest
             new.append((path, name))
         elif known != digest:
-            raise UsageError(
-                f"episode {name} of {path} differs from one of the same config, seed and index that was "
-                "merged before it; leave one of the two sources out."
+            raise fault(
+                f"episode {name} of {path}",
+                "differs from one of the same config, seed and index that was "
+                "merged before it; leave one of the two sources out.",
             )
     with _writing(out):
         if new or not present:
@@ -220,8 +221,10 @@ def check_outside(places: Path | Sequence[Path], out: Path) -> None:
     """
     for place in [places] if isinstance(places, Path) else places:
         if place.is_dir() and out.resolve().is_relative_to(place.resolve()):
-            raise UsageError(
-                f"--out {out} lies in {place}, of which every *.h5 is read as a shard; give a place beside it."
+            raise wrong_value(
+                "out",
+                str(out),
+                f"outside of {place}, of which every *.h5 is read as a shard",
             )
 
 
@@ -242,9 +245,7 @@ def split(
             occurs twice; or ``out`` lies in a source.
     """
     if not parts or min(parts.values()) <= 0 or ordered_sum(parts.values()) > 1 + 1e-9:
-        raise UsageError(
-            f"shares must be positive and sum to at most 1; got {dict(parts)}."
-        )
+        raise wrong_value("shares", dict(parts), "positive, with a sum of at most 1")
     try:
         targets = {
             name: below(out, f"{check_name('name of a part', name)}.h5") for name in parts
@@ -253,7 +254,7 @@ def split(
         raise UsageError(str(error)) from error
     for path in targets.values():
         if path.exists():
-            raise UsageError(f"{path} exists already; give an empty folder as --out.")
+            raise fault(path, "exists already; give an empty folder as --out.")
     check_outside(places, out)
     groups: dict[str, list[Place]] = defaultdict(list)
     for episode in entries(places):

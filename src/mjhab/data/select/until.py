@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mjhab.core.errors import UsageError
+from mjhab.core.errors import wrong_value
 
 WHOLE = -1
 
@@ -32,8 +32,10 @@ class Until:
             return cls()
         found = re.fullmatch(r"success(?:\+(\d{1,6}))?", text)
         if found is None:
-            raise UsageError(
-                f"until must be end, success, or success+N for N control steps more, as in success+20; got {text!r}."
+            raise wrong_value(
+                "until",
+                text,
+                "end, success, or success+N for N control steps more, as in success+20",
             )
         return cls(int(found[1] or 0))
 

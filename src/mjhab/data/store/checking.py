@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from mjhab.core.errors import UsageError
+from mjhab.core.errors import fault
 from mjhab.core.files.locking import WriteLock, is_written
 from mjhab.data.store.damage import problems_in
 from mjhab.data.store.episode_files import is_episode_file, part_folder
@@ -112,7 +112,7 @@ def repair(path: Path) -> Repair:
         StorageError: the disk is full.
     """
     if not path.is_file():
-        raise UsageError(f"{path} does not exist or is no file; give a shard (*.h5).")
+        raise fault(path, "does not exist or is no file; give a shard (*.h5).")
     pending = _is_unfinished(path)
     try:
         if pending:

@@ -14,7 +14,7 @@ from typing import Any
 import h5py
 import numpy as np
 
-from mjhab.core.errors import UsageError
+from mjhab.core.errors import fault
 from mjhab.core.version import __version__
 from mjhab.data.store.schema import EPISODES, FORMAT, OLDEST, RUNS, VERSION, DamagedError
 
@@ -219,9 +219,10 @@ def check_format(file: h5py.File, path: Path) -> int:
                 f"Read it with mjhab {maker} in a separate environment, or record its episodes again: the same "
                 "options of `mjhab generate` give the same seeds and indices."
             )
-        raise UsageError(
-            f"{path} has schema {version} and was written by mjhab {maker}; this is mjhab {__version__}, which "
-            f"reads schema {OLDEST} to {VERSION}. {how}"
+        raise fault(
+            path,
+            f"has schema {version} and was written by mjhab {maker}; this is mjhab {__version__}, which "
+            f"reads schema {OLDEST} to {VERSION}. {how}",
         )
     missing = [name for name in (EPISODES, RUNS) if name not in file]
     if missing:

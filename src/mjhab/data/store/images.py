@@ -12,8 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 from PIL import Image
 
-from mjhab.core.errors import UsageError, unknown_name
+from mjhab.core.errors import unknown_name
 from mjhab.core.files.reading import reason
+from mjhab.core.typed.checks import check_between
 
 RGB_FORMATS = ("png", "jpeg")
 MAX_SIDE = 4096
@@ -37,8 +38,7 @@ class ImageFormat:
     def __post_init__(self) -> None:
         if self.rgb not in RGB_FORMATS:
             raise unknown_name("image format", self.rgb, RGB_FORMATS)
-        if not 1 <= self.quality <= 95:
-            raise UsageError(f"the quality of JPEG images is 1 to 95, got {self.quality}")
+        check_between("quality", self.quality, 1, 95)
 
 
 def encode(image: np.ndarray, output: str, form: ImageFormat) -> bytes:

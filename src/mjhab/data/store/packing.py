@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from mjhab.core.errors import UsageError
+from mjhab.core.errors import fault
 from mjhab.data.store.episode_files import EPISODE_FOLDER, EpisodeFiles, lock_set
 from mjhab.data.store.hdf5 import drop_unfinished
 from mjhab.data.store.places import is_leftover
@@ -47,8 +47,9 @@ def pack(
     """
     files = EpisodeFiles(folder / EPISODE_FOLDER)
     if not files.folder.is_dir():
-        raise UsageError(
-            f"{folder} has no folder {EPISODE_FOLDER!r} of episode files: there is nothing to pack."
+        raise fault(
+            folder,
+            f"has no folder {EPISODE_FOLDER!r} of episode files: there is nothing to pack.",
         )
     shards: list[Path] = []
     episodes = size = 0

@@ -6,7 +6,7 @@ import itertools
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
-from mjhab.core.errors import UsageError
+from mjhab.core.errors import UsageError, fault
 from mjhab.data.store.episode_files import (
     EpisodeEntry,
     entries_of,
@@ -36,8 +36,8 @@ def shard_paths(places: Path | Sequence[Path]) -> list[Path]:
         if not inside and place.is_dir():
             raise UsageError(f"no shards (*.h5) in {place} or the folders in it.")
         if not inside:
-            raise UsageError(
-                f"{place} does not exist; give a shard (*.h5) or a folder of shards."
+            raise fault(
+                place, "does not exist; give a shard (*.h5) or a folder of shards."
             )
         found += inside
     by_file: dict[Path, Path] = {}

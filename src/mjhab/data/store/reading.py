@@ -13,7 +13,7 @@ import h5py
 import numpy as np
 
 from mjhab.core.conventions.names import OBJECT_AXES, SCAN_AXES, Conventions
-from mjhab.core.errors import UsageError, unknown_name
+from mjhab.core.errors import UsageError, fault, unknown_name
 from mjhab.core.files.reading import parse_json, reason
 from mjhab.core.names import check_name
 from mjhab.data.store.episode_data import (
@@ -520,7 +520,7 @@ def open_shard(path: Path | str) -> Shard:
     """
     path = Path(path)
     if not path.is_file():
-        raise UsageError(f"{path} does not exist or is no file; give a shard (*.h5).")
+        raise fault(path, "does not exist or is no file; give a shard (*.h5).")
     return Shard(path)
 
 

@@ -6,7 +6,7 @@ import shutil
 from collections.abc import Mapping
 from pathlib import Path
 
-from mjhab.core.errors import UsageError
+from mjhab.core.errors import UsageError, fault
 from mjhab.core.files.locking import WriteLock
 from mjhab.data.store.episode_data import EpisodeData, RunInfo
 from mjhab.data.store.episode_files import EpisodeFiles, part_folder
@@ -63,7 +63,7 @@ class ShardWriter:
             StorageError: the disk is full or broken; those before are safe. Make a new writer to continue.
         """
         if self._lock is None:
-            raise UsageError(f"{self.path} has been closed; open it again to write")
+            raise fault(self.path, "has been closed; open it again to write")
         if data.name in self.names:
             raise UsageError(
                 f"episode {data.record.index} of seed {data.record.seed} is in {self.path} already; nothing was written"

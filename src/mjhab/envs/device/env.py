@@ -16,7 +16,7 @@ from gymnasium.vector import VectorEnv
 
 from mjhab.config.env import EnvConfig
 from mjhab.core.arrays import to_numpy
-from mjhab.core.errors import UsageError, shown, wrong_value
+from mjhab.core.errors import wrong_value
 from mjhab.core.joints import BASE_XY
 from mjhab.core.seeding import stream
 from mjhab.core.typed.checks import check_shape
@@ -67,8 +67,11 @@ class DeviceEnv(TaskLoop, VectorEnv):
 
     def __init__(self, config: EnvConfig) -> None:
         if config.render_mode:
-            raise UsageError(
-                "backend 'warp' gives no human views; leave render_mode empty, or use backend='cpu'"
+            raise wrong_value(
+                "render_mode",
+                config.render_mode,
+                "left out with backend 'warp'",
+                "Backend 'cpu' gives human views.",
             )
         config.perturbations.check_device()
         check_device_memory(
@@ -156,7 +159,11 @@ class DeviceEnv(TaskLoop, VectorEnv):
             )
         if seed != self.pool.seed:
             if not bool(mask.all()):
-                raise UsageError("a new seed is for all worlds: leave out reset_mask")
+                raise wrong_value(
+                    "reset_mask",
+                    mask.tolist(),
+                    "left out with a new seed, which is for all worlds",
+                )
             self.pool = StartPool(self._source, self.sim, self.pool.count, int(seed))
         self.count = torch.where(mask, 0, self.count)
 
@@ -184,8 +191,12 @@ class DeviceEnv(TaskLoop, VectorEnv):
             or not integral
             or bool(((chosen < 0) | (chosen >= self.pool.count)).any())
         ):
-            need = f"options['episode'] must give {count} starts in [0, {self.pool.count}), one per reset world"
-            raise UsageError(f"{need}; got {shown(wanted)}; option starts sets how many")
+            raise wrong_value(
+                "options['episode']",
+                wanted,
+                f"{count} starts in [0, {self.pool.count}), one per reset world",
+                "Option starts sets how many there are.",
+            )
         rows = self.start_row.clone()
         rows[mask] = chosen.to(rows.dtype)
         return rows
@@ -303,6 +314,6 @@ class DeviceEnv(TaskLoop, VectorEnv):
         """
         self.sim.check_overflow()
         if bad := int(self.bad_actions):
-            raise UsageError(
-                f"actions must be finite; {bad} actions of single worlds were not, and counted as 0 there"
+            raise wrong_value(
+                "actions", f"{bad} others", "finite", "They counted as 0 in their worlds."
             )

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from mjhab.config.env import EnvConfig
-from mjhab.core.errors import UsageError, shown, unknown_name, wrong_value
+from mjhab.core.errors import shown, unknown_name, wrong_value
 from mjhab.core.typed.bounds import bound_of
 from mjhab.robots.robot import Robot
 
@@ -66,8 +66,10 @@ def mode_outputs(mode: str) -> tuple[str, ...]:
         UsageError: a part that is no mode.
     """
     if "," in mode:
-        raise UsageError(
-            f"parts of an observation mode are joined by '+', not by a comma: {shown(mode.replace(',', '+'))}."
+        raise wrong_value(
+            "obs_mode",
+            mode,
+            f"parts joined by '+', not by a comma: {shown(mode.replace(',', '+'))}",
         )
     wanted = set[str]()
     for part in mode.split("+"):
@@ -92,8 +94,8 @@ def camera_names(robot: Robot, cameras: str | Sequence[str]) -> tuple[str, ...]:
     for name in names:
         robot.camera(name)
     if not names:
-        raise UsageError(
-            f"cameras must name at least one camera of: {', '.join(robot.camera_names)}; got none."
+        raise wrong_value(
+            "cameras", "none", f"at least one of {', '.join(robot.camera_names)}"
         )
     return names
 

@@ -16,7 +16,7 @@ from mjhab.config.perturbing import (
     PictureFrame,
     called,
 )
-from mjhab.core.errors import UsageError
+from mjhab.core.errors import fault
 from mjhab.core.rotations import mat_from_rotation_vector
 from mjhab.robots.controllers.controller import Controller
 from mjhab.robots.robot import Robot
@@ -105,9 +105,9 @@ class Perturber:
             found = called(drawn.axis, "act", drawn, now, self._frame, moment.step)
             now = np.asarray(found, np.float32)
             if now.shape != action.shape or not np.isfinite(now).all():
-                raise UsageError(
-                    f"{PERTURBATIONS.described(drawn.axis)}: act must return {len(action)} finite numbers, got "
-                    f"{now.shape}."
+                raise fault(
+                    PERTURBATIONS.described(drawn.axis),
+                    f"act must return {len(action)} finite numbers, got {now.shape}.",
                 )
         return now
 
@@ -196,7 +196,8 @@ def in_other_words(drawn: Sequence[Drawn], said: Instructions) -> Instructions:
 def _sentence(drawn: Drawn, text: str, number: int) -> str:
     found = called(drawn.axis, "sentence", drawn, text, number)
     if not isinstance(found, str) or not found.isprintable() or bool(found) != bool(text):
-        raise UsageError(
-            f"{PERTURBATIONS.described(drawn.axis)}: sentence must return one line of text, got {found!r}."
+        raise fault(
+            PERTURBATIONS.described(drawn.axis),
+            f"sentence must return one line of text, got {found!r}.",
         )
     return found

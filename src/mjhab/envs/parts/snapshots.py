@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from typing import Any, Protocol
 
 from mjhab.core.arrays import row_of, with_row
-from mjhab.core.errors import UsageError
+from mjhab.core.errors import UsageError, wrong_value
 from mjhab.episodes.episode import Episode
 from mjhab.sim.mujoco.cpu import CpuSimulator
 from mjhab.sim.protocol import SimState
@@ -113,8 +113,12 @@ def restore(env: RestorableWorlds, world: int, state: dict[str, Any]) -> None:
     name = state["episode"]
     episode = env.make_episode(name["seed"], name["index"])
     if episode.home != name["home"]:
-        raise UsageError(
-            f"the state is of home {name['home']!r}, but that episode is in {episode.home!r} here"
+        raise wrong_value(
+            "home",
+            name["home"],
+            repr(episode.home),
+            "That episode is in another home here.",
+            "state",
         )
     env.sim.set_world(world, episode.home, state["sim"])
     env.adopt(world, episode)

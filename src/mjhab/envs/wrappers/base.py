@@ -41,19 +41,18 @@ def dict_space(env: VectorEnv, wrapper: str) -> spaces.Dict:
         UsageError: not a Dict, or observations that are tensors on a device.
     """
     if env.metadata.get("tensors"):
-        raise UsageError(
-            f"{wrapper} works on numpy arrays, but {env} gives torch tensors; use backend='cpu'"
+        raise fault(
+            wrapper,
+            f"works on numpy arrays, but {env} gives torch tensors; use backend='cpu'",
         )
     space = env.single_observation_space
     if isinstance(space, spaces.Dict) and isinstance(
         space.spaces.get("agent"), spaces.Dict
     ):
-        raise UsageError(
-            f"{wrapper} takes flat observation keys: leave out obs_keys='nested'."
-        )
+        raise fault(wrapper, "takes flat observation keys: leave out obs_keys='nested'.")
     if not isinstance(space, spaces.Dict):
-        raise UsageError(
-            f"{wrapper} needs observations that are a dict; those of {env} are {space}."
+        raise fault(
+            wrapper, f"needs observations that are a dict; those of {env} are {space}."
         )
     return space
 
@@ -89,8 +88,9 @@ def require_images(
             "the observations have no images; make the environment with obs_mode='depth'.",
         )
     if not flat and any(leaf.path[0] == PIXELS for leaf in leaves):
-        raise UsageError(
-            f"{wrapper} must come before FlattenStatePixels, and FlattenStatePixels once only."
+        raise fault(
+            wrapper,
+            "must come before FlattenStatePixels, and FlattenStatePixels once only.",
         )
     return leaves
 

@@ -158,11 +158,9 @@ def _frames_of(env: VectorEnv, wanted: int | None) -> int:
     configured = getattr(config, "frame_stack", 1)
     if wanted is None or configured in (1, wanted):
         return configured if wanted is None else wanted
-    raise fault(
-        "FrameStack",
-        f"the environment has frame_stack {configured}, which num_stack={wanted} contradicts. Leave out "
-        f"num_stack, or make the environment with frame_stack={wanted}.",
-    )
+    advice = f"Leave out num_stack, or make the environment with frame_stack={wanted}."
+    expected = f"{configured}, the frame_stack of the environment"
+    raise wrong_value("num_stack", wanted, expected, advice, "FrameStack")
 
 
 def _stacked(space: spaces.Space, num: int) -> spaces.Box:

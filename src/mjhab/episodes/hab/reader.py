@@ -12,7 +12,7 @@ from fnmatch import fnmatchcase
 
 import numpy as np
 
-from mjhab.core.errors import UsageError, about, fault, unknown_name
+from mjhab.core.errors import UsageError, about, fault, unknown_name, wrong_value
 from mjhab.core.memory_cache import MemoryCache
 from mjhab.core.names import kind_of
 from mjhab.core.rotations import mat_from_quat
@@ -188,8 +188,8 @@ class FileEpisodes:
         names = episode.target_names
         limit = len(TASKS[self.task].targets)
         if not 1 <= len(names) <= limit:
-            raise UsageError(
-                f"{where}.targets: {self.task} handles 1 to {limit} targets, got {len(names)}."
+            raise wrong_value(
+                "targets", len(names), f"1 to {limit} for {self.task}", where=where
             )
         for name in names:
             check_one_of("object", name, episode.instances, where=f"{where}.targets")

@@ -103,8 +103,11 @@ def check_target(config: EnvConfig, layout: Layout) -> None:
         raise unknown_name("target", config.target, valid)
     if not config.subtask:
         subtasks = ", ".join(TASKS[config.task].subtasks)
-        raise UsageError(
-            f"target {config.target!r} needs a subtask: add --subtask, one of {subtasks}."
+        raise wrong_value(
+            "target",
+            config.target,
+            "left out without a subtask",
+            f"Add --subtask, one of {subtasks}.",
         )
 
 
@@ -160,8 +163,10 @@ class StartMaker:
         self.held = StableGrasps(sim, task_config, self.sampler.scratch, harvested)
         self.published = config.spawn_rule == "published"
         if self.published and harvested:
-            raise UsageError(
-                "the published spawn rule has arms of its own; leave out harvested."
+            raise wrong_value(
+                "harvested",
+                True,
+                "left out: the published spawn rule has arms of its own",
             )
         self.arms = CarryPostures(self.held)
         self.spawn_set = (

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 
 from mjhab.config.env import EnvConfig
-from mjhab.core.errors import UsageError, unknown_name
+from mjhab.core.errors import UsageError, fault, unknown_name, wrong_value
 from mjhab.core.names import kind_of
 from mjhab.data.record.batches import batches
 from mjhab.data.select.sets import nothing_passes
@@ -73,14 +73,16 @@ def make_chain_starts(spec: ChainStartsSpec) -> SpawnSet:
         UsageError: see `chain_starts`.
     """
     if spec.out.suffix != SPAWNS_SUFFIX:
-        raise UsageError(f"a spawn set ends with {SPAWNS_SUFFIX}, got {spec.out}.")
+        raise wrong_value("out", str(spec.out), f"a name that ends with {SPAWNS_SUFFIX}")
     if spec.out.exists() and not spec.overwrite:
-        raise UsageError(f"{spec.out} exists; add --overwrite, or choose another --out.")
+        raise fault(spec.out, "exists; add --overwrite, or choose another --out.")
     config = _common_options(spec)
     if config["subtask"]:
-        raise UsageError(
-            f"the episodes are of the subtask {config['subtask']} alone; starts come from whole tasks: mjhab generate "
-            f"--task {config['task']} --navigate drive"
+        raise wrong_value(
+            "subtask",
+            config["subtask"],
+            "that of whole tasks, whose episodes hold starts",
+            f"Record such: mjhab generate --task {config['task']} --navigate drive",
         )
     rows: list[SpawnRow] = []
     began: set[str] = set()

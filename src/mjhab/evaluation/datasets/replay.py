@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, overload
 
-from mjhab.core.errors import UsageError
+from mjhab.core.errors import wrong_value
 from mjhab.data.record.render import FOLLOW, Rendered, RenderRequest, render
 from mjhab.data.record.verify import Verified, verify
 from mjhab.data.record.worlds import RecordedEnv
@@ -86,8 +86,8 @@ def run_rendering(spec: ReplaySpec, tell: Callable[[], object] = bool) -> Render
     # A specification with ``render`` has it.
     assert spec.out is not None
     if any(path.resolve() == spec.out.resolve() for path in shard_paths(spec.places)):
-        raise UsageError(
-            f"--out {spec.out} is one of the shards to replay; give a new file."
+        raise wrong_value(
+            "out", str(spec.out), "a new file, not one of the shards to replay"
         )
     request = RenderRequest(
         spec.places, spec.out, ImageFormat(spec.rgb), spec.cameras, spec.filter()

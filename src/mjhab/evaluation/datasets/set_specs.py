@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
 
-from mjhab.core.errors import UsageError, unknown_name
+from mjhab.core.errors import UsageError, missing_field, unknown_name, wrong_value
 from mjhab.core.typed.bounds import SEED, Bound, Output
 from mjhab.core.typed.flags import Flag
 from mjhab.core.typed.options import take_options
@@ -96,8 +96,10 @@ class SplitSpec(RecordedSpec):
             except ValueError:
                 number = float("nan")
             if not name or "/" in name or name in shares or number != number:
-                raise UsageError(
-                    f"--parts {word!r}: give names, each once, with shares, as in: train=0.9 val=0.1"
+                raise wrong_value(
+                    "parts",
+                    word,
+                    "names, each once, with shares, as in: train=0.9 val=0.1",
                 )
             shares[name] = number
         return shares
@@ -121,7 +123,10 @@ class PackSpec:
     def __post_init__(self) -> None:
         take_options(self)
         if not self.folders:
-            raise UsageError("name the folders to pack, as in: mjhab data pack runs/pick")
+            raise missing_field(
+                "places",
+                advice="Name the folders to pack, as in: mjhab data pack runs/pick",
+            )
 
 
 @dataclass(frozen=True, kw_only=True)

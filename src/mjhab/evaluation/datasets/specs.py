@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Self, cast
 
 from mjhab.config.env_spec import EnvSpec, env_options
-from mjhab.core.errors import UsageError, unknown_name
+from mjhab.core.errors import UsageError, missing_field, unknown_name
 from mjhab.core.typed.bounds import Bound, Output
 from mjhab.core.typed.flags import Flag
 from mjhab.core.typed.options import take_options
@@ -216,8 +216,8 @@ class ReplaySpec(SelectedSpec, EnvSpec):
         from mjhab.envs.observations.modes import image_size, mode_outputs
 
         if self.out is None:
-            raise UsageError(
-                "--render needs --out FILE.h5: the recorded shard is not changed."
+            raise missing_field(
+                "out", "render", "Give --out FILE.h5: the recorded shard is not changed."
             )
         mode_outputs(render)
         image_size(self.asked.camera_size)

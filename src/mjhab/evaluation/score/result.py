@@ -12,7 +12,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from mjhab.core.errors import UsageError, about, wrong_type, wrong_value
+from mjhab.core.errors import about, fault, wrong_type, wrong_value
 from mjhab.core.files.cache import write_atomic
 from mjhab.core.files.reading import parse_json
 from mjhab.evaluation.score.manifest import Manifest, ScoreHomes, ScoreRow, manifest
@@ -145,8 +145,8 @@ def read_for_table(path: Path) -> ScoreResult:
     if content.get("format") != SUMMARY_FORMAT:
         return _result_of(path, content)
     if content.get("version") != VERSION:
-        raise UsageError(
-            f"{path} is not a summary of version {VERSION}; `mjhab score` writes them."
+        raise fault(
+            path, f"not a summary of version {VERSION}; `mjhab score` writes them."
         )
     try:
         result = ScoreResult(
@@ -155,13 +155,13 @@ def read_for_table(path: Path) -> ScoreResult:
         asked = result.manifest
         made_for = result.facts["manifest"]
     except (KeyError, TypeError, ValueError) as error:
-        raise UsageError(f"{path} is damaged: {error!r}.") from error
+        raise fault(path, f"damaged: {error!r}.") from error
     _check_facts(path, result.facts, asked)
     _check_manifest(path, made_for, asked)
     # Without episodes the numbers cannot be computed again, but their places are known.
     empty = json.loads(json.dumps(summary_of(asked, ())))
     if not _is_like({**result.summary, "labels": {}}, empty):
-        raise UsageError(f"{path} is damaged: its summary is not that of a score.")
+        raise fault(path, "damaged: its summary is not that of a score.")
     return result
 
 
@@ -203,15 +203,16 @@ def read_result(path: Path) -> ScoreResult:
 def _result_of(path: Path, content: Mapping[str, Any]) -> ScoreResult:
     """The checked content of a result file, see `read_result`."""
     if content.get("format") == SUMMARY_FORMAT:
-        raise UsageError(
-            f"{path} is a summary, which has no episodes to verify; give the result.json beside it."
+        raise fault(
+            path,
+            "a summary, which has no episodes to verify; give the result.json beside it.",
         )
     if content.get("format") != FORMAT or content.get("version") != VERSION:
-        raise UsageError(
-            f"{path} is not a result file of version {VERSION}; `mjhab score` writes them."
+        raise fault(
+            path, f"not a result file of version {VERSION}; `mjhab score` writes them."
         )
     if content.get("digest") != digest_of(content):
-        raise UsageError(f"{path} was edited: its digest does not match its content.")
+        raise fault(path, "was edited: its digest does not match its content.")
     try:
         episodes = tuple(
             ScoredEpisode(
@@ -232,35 +233,33 @@ def _result_of(path: Path, content: Mapping[str, Any]) -> ScoreResult:
         asked = result.manifest
         made_for = result.facts["manifest"]
     except (KeyError, TypeError, ValueError) as error:
-        raise UsageError(f"{path} is damaged: {error!r}.") from error
+        raise fault(path, f"damaged: {error!r}.") from error
     _check_facts(path, result.facts, asked)
     _check_names(path, asked, episodes)
     lacking = sorted(
         {episode.row for episode in episodes} - set(result.facts["policies"])
     )
     if lacking:
-        raise UsageError(f"{path} was edited: facts.policies lacks {', '.join(lacking)}.")
+        raise fault(path, f"was edited: facts.policies lacks {', '.join(lacking)}.")
     _check_manifest(path, made_for, asked)
     if json.loads(json.dumps(summary_of(asked, episodes))) != result.summary:
-        raise UsageError(
-            f"{path} was edited: its numbers do not follow from its episodes."
-        )
+        raise fault(path, "was edited: its numbers do not follow from its episodes.")
     return result
 
 
 def _read_json(path: Path) -> dict[str, Any]:
     if path.is_dir():
-        raise UsageError(f"{path} is a folder; give the {RESULT_FILE} in it.")
+        raise fault(path, f"a folder; give the {RESULT_FILE} in it.")
     if not path.is_file():
-        raise UsageError(f"there is no file {path}.")
+        raise fault(path, "does not exist.")
     if path.stat().st_size > MAX_FILE_BYTES:
-        raise UsageError(f"{path} is larger than any result file.")
+        raise fault(path, "larger than any result file.")
     try:
         content = parse_json(path.read_bytes())
     except ValueError as error:
-        raise UsageError(f"{path} is not a result file: {error}.") from error
+        raise fault(path, f"not a result file: {error}.") from error
     if not isinstance(content, dict):
-        raise UsageError(f"{path} is not a result file.")
+        raise fault(path, "not a result file.")
     return content
 
 
@@ -273,9 +272,10 @@ def _check_facts(path: Path, facts: Mapping[str, Any], asked: Manifest) -> None:
     kinds = {"policy": str, "policies": dict, "versions": dict, "hardware": dict}
     for name, kind in kinds.items():
         if not isinstance(facts.get(name), kind):
-            raise UsageError(
-                f"{path} was edited: facts.{name} must be a {kind.__name__}, got "
-                f"{facts.get(name)!r}."
+            raise fault(
+                path,
+                f"was edited: facts.{name} must be a {kind.__name__}, got "
+                f"{facts.get(name)!r}.",
             )
     with about(f"{path} was edited"):
         perturbed_arms(facts)
@@ -285,16 +285,17 @@ def _check_facts(path: Path, facts: Mapping[str, Any], asked: Manifest) -> None:
         if told is not None and not isinstance(
             told.get("env_options") if isinstance(told, dict) else None, dict
         ):
-            raise UsageError(
-                f"{path} was edited: facts.policies[{row.name!r}] has no env_options."
+            raise fault(
+                path, f"was edited: facts.policies[{row.name!r}] has no env_options."
             )
 
 
 def _check_manifest(path: Path, made_for: object, asked: Manifest) -> None:
     if made_for != asked.digest:
-        raise UsageError(
-            f"{path} was made with the manifest {made_for}, and this version of mjhab has {asked.digest}: such scores "
-            "cannot be compared. Score the policy again."
+        raise fault(
+            path,
+            f"was made with the manifest {made_for}, and this version of mjhab has {asked.digest}: such scores "
+            "cannot be compared. Score the policy again.",
         )
 
 
@@ -307,8 +308,8 @@ def _check_names(path: Path, asked: Manifest, episodes: Sequence[ScoredEpisode])
         row = rows.get(episode.row)
         name = (episode.row, record.seed, record.index)
         if row is None or not _fits(row, asked, episode) or name in seen:
-            raise UsageError(
-                f"{path}: episode {record.index} of {episode.row} is not in the manifest."
+            raise fault(
+                path, f"episode {record.index} of {episode.row} is not in the manifest."
             )
         seen.add(name)
 

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from mjhab.config.profiles import DEFAULT_PROFILE, profile_named
-from mjhab.core.errors import UsageError, unknown_name
+from mjhab.core.errors import fault, unknown_name, wrong_value
 from mjhab.core.machine import cores, processor
 from mjhab.data.record.provenance import source_commit, versions
 from mjhab.evaluation.evaluate import EvalSpec, describe_policy, run_evaluation
@@ -79,9 +79,12 @@ def score(
         policies[row.name] = {"name": facts.name, **plain(facts.described)}
         options = scored_options(facts, asked.profile)
         if facts.robot not in ("", robot):
-            raise UsageError(
-                f"the policy {facts.name} was trained with robot {facts.robot!r}, not {robot!r}; score it with "
-                f"--robot {facts.robot}."
+            raise wrong_value(
+                "robot",
+                robot,
+                repr(facts.robot),
+                f"Score it with --robot {facts.robot}.",
+                f"policy {facts.name}",
             )
         if robot != DEFAULT_ROBOT:
             options["robot"] = robot
@@ -95,8 +98,8 @@ def score(
             wanted = [r for r in run.records if r.index < evaluation.episodes]
             episodes += [_scored(asked, row, record, kept) for record in wanted]
     if not policies:
-        raise UsageError(
-            f"{spec.policy} has no policy for any row of the track {spec.track}."
+        raise wrong_value(
+            "policy", spec.policy, f"one for a row of the track {spec.track}"
         )
     facts = facts_of(spec, asked, policies, seconds)
     result = write_result(spec.folder / RESULT_FILE, facts, episodes)
@@ -188,9 +191,12 @@ def check_rules(facts: PolicyFacts, rules: str = DEFAULT_PROFILE) -> None:
     others = sorted(set(facts.env_options) - FREE_OPTIONS)
     if others:
         asked = {name: facts.env_options[name] for name in others}
-        raise UsageError(
-            f"the policy {facts.name} asks for {asked}; scores use the rules of the profile {rules}, and a "
-            f"policy may only choose {', '.join(sorted(FREE_OPTIONS))}."
+        raise wrong_value(
+            "env_options",
+            asked,
+            f"of {', '.join(sorted(FREE_OPTIONS))} alone",
+            f"Scores use the rules of the profile {rules}.",
+            f"policy {facts.name}",
         )
 
 
@@ -252,8 +258,8 @@ def _scored(
 ) -> ScoredEpisode:
     path = kept_path(kept, record.index)
     if not path.is_file():
-        raise UsageError(
-            f"{path} with the actions of an episode is missing; score into another --out."
+        raise fault(
+            path, "missing, with the actions of an episode; score into another --out."
         )
     # Those of tracks that do not ask may be of a version that did not keep the last one.
     start, actions, *continuing = path.read_text(encoding="ascii").split(" ")

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mjhab.core.errors import UsageError, unknown_name
+from mjhab.core.errors import unknown_name, wrong_value
 from mjhab.robots.controllers import DEFAULT_MODE, ActionEntry
 
 GRIPPER = "gripper"
@@ -76,9 +76,12 @@ class ActionReader:
         wanted = _columns(self._space, table) or tuple(names)
         lacking = [column for column in wanted if column not in names]
         if lacking:
-            raise UsageError(
-                f"the action space {name!r} needs control mode {self._space.control_mode}: the actions of this "
-                f"environment have no {', '.join(lacking)}."
+            raise wrong_value(
+                "control mode",
+                ", ".join(names[:3]) + ", ...",
+                self._space.control_mode,
+                f"The actions of this environment have no {', '.join(lacking)}.",
+                f"action space {name!r}",
             )
         self.names = wanted
         self._columns = [names.index(column) for column in wanted]

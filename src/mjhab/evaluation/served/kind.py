@@ -7,7 +7,7 @@ import json
 import re
 from typing import Any, cast
 
-from mjhab.core.errors import UsageError
+from mjhab.core.errors import wrong_value
 from mjhab.evaluation.resolve import OpenedPolicy, PolicyFacts, PolicyOptions
 from mjhab.evaluation.served.metadata import env_options_of, own_part, space_of
 from mjhab.rollout.loop import plain
@@ -63,9 +63,11 @@ class ServerAddress(OpenedPolicy):
                 style.
         """
         if options.style:
-            raise UsageError(
-                "only the policy expert has a style; give it to its server (mjhab serve), not to "
-                f"{without_password(self.spec)}."
+            raise wrong_value(
+                "style",
+                tuple(options.style),
+                f"left out: only the policy expert has one, not {without_password(self.spec)}",
+                "Give it to its server (mjhab serve).",
             )
         require_serving()
         from mjhab.evaluation.served.policy import ServedPolicy

@@ -14,7 +14,7 @@ import numpy as np
 
 from mjhab.core.conventions.changes import within_half_a_turn
 from mjhab.core.conventions.names import WRAPPED, Conventions
-from mjhab.core.errors import UsageError
+from mjhab.core.errors import fault
 from mjhab.core.progress import say
 from mjhab.core.rotations import wrap
 from mjhab.data.record.provenance import describe_run
@@ -80,9 +80,10 @@ class ServedPolicy:
         own = own_part(metadata)
         if instruction and own.get("reads_instruction") is False:
             self.close()
-            raise UsageError(
-                f"the policy {own.get('policy', '')} that {address.shown} serves reads no instruction. Leave "
-                "--instruction out, or serve a student that was trained with sentences."
+            raise fault(
+                f"policy {own.get('policy', '')} that {address.shown} serves",
+                "reads no instruction. Leave "
+                "--instruction out, or serve a student that was trained with sentences.",
             )
         self._reader = ActionReader(space_of(address, metadata), self._env.action_table)
         needs = own.get("needs", ())

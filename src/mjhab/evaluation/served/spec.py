@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import Annotated, Any
 
 from mjhab.config.env_spec import EnvSpec, env_options
-from mjhab.core.errors import UsageError
+from mjhab.core.errors import fault
 from mjhab.core.typed.bounds import Bound
 from mjhab.core.typed.flags import Flag
 from mjhab.serving.address import SCHEMES, without_password
@@ -63,4 +63,4 @@ class ServeSpec(EnvSpec):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.policy.startswith(SCHEMES):
-            raise UsageError(f"{without_password(self.policy)} is served already.")
+            raise fault(without_password(self.policy), "is served already.")

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from mjhab.core.errors import MjhabError, UsageError
+from mjhab.core.errors import MjhabError, UsageError, missing_field, wrong_value
 from mjhab.core.version import __version__
 from mjhab.data.record.provenance import TRAIN_MAKER
 from mjhab.envs.sequential import SequentialTaskEnv
@@ -126,13 +126,17 @@ class TwinResponder:
         }
         named = [name for name in FILES if options.get(name)]
         if named:
-            raise UsageError(
-                f"clients may not set options that name files: {', '.join(named)}"
+            raise wrong_value(
+                named[0],
+                options[named[0]],
+                "left out by clients: they may not name files",
             )
         if options.get("assets", BUILTIN) != self._assets:
-            raise UsageError(
-                f"this server has the asset pack {self._assets!r}, not {options.get('assets')!r}; start it with "
-                "--assets"
+            raise wrong_value(
+                "assets",
+                options.get("assets"),
+                f"those of this server, {self._assets!r}",
+                "Start it with --assets.",
             )
         # All option values of the profile are sent; its name would only forbid other cameras.
         options.pop("profile", None)
@@ -227,9 +231,7 @@ def _place_of(part: Mapping[str, Any]) -> Place:
     episode = _mapping(world.get("episode"), "episode")
     numbers = (episode.get("seed"), episode.get("index"), part.get("step"))
     if not all(isinstance(number, int | np.integer) for number in numbers):
-        raise UsageError(
-            f"seed, index and step of an episode must be integers, got {numbers}"
-        )
+        raise wrong_value("seed, index and step", numbers, "integers", where="episode")
     seed, index, step = (int(number) for number in numbers if number is not None)
     return Place(seed, index, step)
 
@@ -253,13 +255,13 @@ def _own_parts(request: Mapping[str, Any], batch: int | None) -> list[Mapping[st
             "mjhab eval --policy ws://..."
         )
     if len(parts) != (batch or 1):
-        raise UsageError(f"the request has {batch} worlds but the states of {len(parts)}")
+        raise wrong_value(
+            "states", len(parts), f"as many as the worlds of the request, {batch}"
+        )
     return parts
 
 
 def _mapping(value: Any, name: str) -> Mapping[str, Any]:
     if not isinstance(value, Mapping):
-        raise UsageError(
-            f"the request has no {name!r}; it comes from another version of mjhab"
-        )
+        raise missing_field(name, "request", "It comes from another version of mjhab.")
     return value

@@ -15,7 +15,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from mjhab.core.errors import UsageError
+from mjhab.core.errors import UsageError, fault
 from mjhab.core.files.reading import beside, is_file, read_json_object
 from mjhab.core.typed.options import read_record
 from mjhab.evaluation.resolve import (
@@ -44,8 +44,9 @@ def read_entries(path: Path) -> tuple[Entry, ...]:
         UsageError: the file does not exist or has another format, a name is unknown, or two entries name one.
     """
     if not is_file(path):
-        raise UsageError(
-            f"{path} does not exist; give a JSON file that names one checkpoint per subtask."
+        raise fault(
+            path,
+            "does not exist; give a JSON file that names one checkpoint per subtask.",
         )
     try:
         rows = read_record(
@@ -55,8 +56,8 @@ def read_entries(path: Path) -> tuple[Entry, ...]:
             replace(row, checkpoint=_beside(path, row.checkpoint)) for row in rows
         )
     except ValueError as error:
-        raise UsageError(
-            f'{path} must hold {{"policies": [{{{", ".join(_FIELDS)}}}, ...]}}. {error}'
+        raise fault(
+            path, f'must hold {{"policies": [{{{", ".join(_FIELDS)}}}, ...]}}. {error}'
         ) from error
     for entry in entries:
         SUBTASKS.check(entry.subtask)
@@ -74,10 +75,10 @@ def _beside(path: Path, spec: str) -> str:
         ValueError: it names a file that cannot be.
     """
     if spec in LEARNED_NAMES:
-        raise UsageError(f"{path}: say which policy: {LEARNED}:TASK/SUBTASK/TARGET.")
+        raise fault(path, f"say which policy: {LEARNED}:TASK/SUBTASK/TARGET.")
     if spec.endswith(POLICIES_SUFFIX):
-        raise UsageError(
-            f"{path}: an entry names one policy, not another policies file ({spec})."
+        raise fault(
+            path, f"an entry names one policy, not another policies file ({spec})."
         )
     if spec in NAMED_POLICIES or spec.startswith(WITHOUT_FILE):
         return spec

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from mjhab.core.errors import UsageError
+from mjhab.core.errors import UsageError, fault
 from mjhab.core.joints import BASE
 from mjhab.core.names import kind_of
 from mjhab.data.record.targets import active_entries, aims_at_goal
@@ -55,10 +55,11 @@ class RecordedSource:
         """
         episode = self._episode
         if lacks_states(episode):
-            raise UsageError(
-                f"episode {episode.name} of {episode.shard.path} was imported from data without states, which the "
+            raise fault(
+                f"episode {episode.name} of {episode.shard.path}",
+                "was imported from data without states, which the "
                 "velocity of the base is computed from; take a student without it: --preset paper, or --set "
-                "inputs.base_velocity=false."
+                "inputs.base_velocity=false.",
             )
         columns = episode.run.layout["columns"]
         q = episode.array("states/qpos")[:, columns["robot_q"][BASE]]
@@ -157,9 +158,10 @@ def instructions_of(episode: RecordedEpisode, spec: InputSpec) -> Sequence[str]:
         return [""] * len(plan)
     sentences = episode.record.instructions
     if len(sentences) != len(plan) or not all(sentences):
-        raise UsageError(
-            f"episode {episode.name} of {episode.shard.path} was recorded without instructions, which a student with "
-            "inputs.sentence=true learns from; leave out this input, or record new episodes: mjhab generate"
+        raise fault(
+            f"episode {episode.name} of {episode.shard.path}",
+            "was recorded without instructions, which a student with "
+            "inputs.sentence=true learns from; leave out this input, or record new episodes: mjhab generate",
         )
     return [without_teleport_mark(sentence) for sentence in sentences]
 

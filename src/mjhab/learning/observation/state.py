@@ -10,7 +10,7 @@ import numpy as np
 from mjhab.core.arrays import Array
 from mjhab.core.conventions.changes import change_axes, within_half_a_turn
 from mjhab.core.conventions.names import WRAPPED, Conventions
-from mjhab.core.errors import UsageError
+from mjhab.core.errors import fault
 from mjhab.data.record.targets import state_columns
 from mjhab.data.store.older.schemas import OBJECT_POSE
 from mjhab.data.store.reading import RecordedEpisode
@@ -56,10 +56,11 @@ def _turn_object(episode: RecordedEpisode, state: np.ndarray, want: Conventions)
         return
     yaws = episode.scan_yaws
     if yaws is None:
-        raise UsageError(
-            f"episode {episode.name} of {episode.shard.path} has poses of objects in the axes of the "
+        raise fault(
+            f"episode {episode.name} of {episode.shard.path}",
+            "has poses of objects in the axes of the "
             f"{episode.conventions.object_axes} and does not hold the headings of the scans, as runs of older versions "
-            f"do not, so it cannot be told in those of the {want.object_axes}. Record it again: mjhab generate"
+            f"do not, so it cannot be told in those of the {want.object_axes}. Record it again: mjhab generate",
         )
     state[:, columns] = change_axes(
         state[:, columns], yaws, episode.conventions.object_axes, want.object_axes
@@ -77,10 +78,11 @@ def _turn_joints(episode: RecordedEpisode, state: np.ndarray, want: Conventions)
         state[:, columns] = within_half_a_turn(state[:, columns], endless)
         return
     if "states/qpos" not in episode.paths:
-        raise UsageError(
-            f"episode {episode.name} of {episode.shard.path} has joint angles within half a turn and no states, so "
+        raise fault(
+            f"episode {episode.name} of {episode.shard.path}",
+            "has joint angles within half a turn and no states, so "
             "their turns are not known. Record it with states (mjhab generate without --no-states), or with "
-            "joint_angles='unwrapped'."
+            "joint_angles='unwrapped'.",
         )
     q = episode.array("states/qpos")[:, episode.run.layout["columns"]["robot_q"]]
     state[:, columns] = q[:, robot.columns.upper]

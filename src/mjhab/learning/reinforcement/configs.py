@@ -13,8 +13,9 @@ from dataclasses import dataclass, field
 from typing import Annotated, Any
 
 from mjhab.config.env import TrainConfig
-from mjhab.core.errors import UsageError, unknown_name
+from mjhab.core.errors import UsageError, unknown_name, wrong_value
 from mjhab.core.typed.bounds import Bound
+from mjhab.core.typed.checks import check, check_above, check_between, check_least
 from mjhab.learning.configs import (
     BC,
     GAUSSIAN,
@@ -100,24 +101,21 @@ class PpoConfig:
 
     def __post_init__(self) -> None:
         for name in ("rollout_steps", "minibatches", "epochs"):
-            if getattr(self, name) < 1:
-                raise UsageError(f"{name} must be at least 1, got {getattr(self, name)}.")
-        if not 0.0 < self.gamma <= 1.0:
-            raise UsageError(f"gamma must be above 0 and at most 1, got {self.gamma}.")
-        if not 0.0 <= self.gae_lambda <= 1.0:
-            raise UsageError(
-                f"gae_lambda must lie between 0 and 1, got {self.gae_lambda}."
-            )
+            check_least(name, getattr(self, name), 1)
+        check(0.0 < self.gamma <= 1.0, "gamma", self.gamma, "above 0 and at most 1")
+        check_between("gae_lambda", self.gae_lambda, 0.0, 1.0)
         if self.desired_kl and not 0 < self.least_learning_rate <= self.learning_rate:
-            raise UsageError(
-                f"least_learning_rate must be above 0 and at most learning_rate ({self.learning_rate}), "
-                f"got {self.least_learning_rate}."
+            raise wrong_value(
+                "least_learning_rate",
+                self.least_learning_rate,
+                f"above 0 and at most learning_rate ({self.learning_rate})",
             )
-        if not self.initial_std > 0.0:
-            raise UsageError(f"initial_std must be above 0, got {self.initial_std}.")
+        check_above("initial_std", self.initial_std, 0.0)
         if self.state_std and not LEAST_STD < self.initial_std < MOST_STD:
-            raise UsageError(
-                f"with state_std initial_std must lie between {LEAST_STD} and {MOST_STD}, got {self.initial_std}."
+            raise wrong_value(
+                "initial_std",
+                self.initial_std,
+                f"between {LEAST_STD} and {MOST_STD} with state_std",
             )
 
 
@@ -162,31 +160,34 @@ class SacConfig:
     frozen_actor_samples: FromZero = 0
 
     def __post_init__(self) -> None:
-        if not 0.0 < self.gamma < 1.0:
-            raise UsageError(f"gamma must lie between 0 and 1, got {self.gamma}.")
+        check(0.0 < self.gamma < 1.0, "gamma", self.gamma, "between 0 and 1")
         if self.batch < 2 or self.capacity < self.batch:
-            raise UsageError(
-                f"the replay buffer ({self.capacity}) must hold a batch ({self.batch}) of at least 2."
+            raise wrong_value(
+                "capacity of the replay buffer",
+                self.capacity,
+                f"enough for a batch ({self.batch}) of at least 2",
             )
-        if self.updates_per_step < 0:
-            raise UsageError(
-                f"updates_per_step must be at least 0, got {self.updates_per_step}."
-            )
-        if not self.initial_alpha > 0.0:
-            raise UsageError(f"initial_alpha must be above 0, got {self.initial_alpha}.")
-        if not 0.0 <= self.adam_beta < 1.0:
-            raise UsageError(
-                f"adam_beta must be at least 0 and below 1, got {self.adam_beta}."
-            )
+        check_least("updates_per_step", self.updates_per_step, 0)
+        check_above("initial_alpha", self.initial_alpha, 0.0)
+        check(
+            0.0 <= self.adam_beta < 1.0,
+            "adam_beta",
+            self.adam_beta,
+            "at least 0 and below 1",
+        )
         if self.atoms == 1 or (self.atoms and not self.value_low < self.value_high):
-            raise UsageError(
-                "a distributional critic needs at least 2 atoms over rising values, got "
-                f"{self.atoms} from {self.value_low} to {self.value_high}; atoms=0 selects a scalar one."
+            raise wrong_value(
+                "atoms",
+                self.atoms,
+                "at least 2 over rising values, or 0 for a scalar critic",
+                f"The values are from {self.value_low} to {self.value_high}.",
             )
-        if not 0.0 <= self.demonstration_share < 1.0:
-            raise UsageError(
-                f"demonstration_share must be at least 0 and below 1, got {self.demonstration_share}."
-            )
+        check(
+            0.0 <= self.demonstration_share < 1.0,
+            "demonstration_share",
+            self.demonstration_share,
+            "at least 0 and below 1",
+        )
 
 
 @dataclass(frozen=True)
@@ -240,8 +241,11 @@ class ReinforcementConfig:
         if self.algorithm not in ALGORITHMS:
             raise unknown_name("algorithm", self.algorithm, ALGORITHMS)
         if self.success_ends and self.algorithm == RLPD:
-            raise UsageError(
-                "success_ends does not fit rlpd, whose demonstrations go on after success; take ppo or sac."
+            raise wrong_value(
+                "success_ends",
+                True,
+                "false with rlpd, whose demonstrations go on after success",
+                "Take ppo or sac.",
             )
         if self.stillness and self.stillness not in STILLNESS:
             raise unknown_name("stillness", self.stillness, STILLNESS)
@@ -251,15 +255,19 @@ class ReinforcementConfig:
             raise UsageError("a ReinforcementConfig needs exactly one of ppo and sac.")
         if self.ppo is not None:
             if not self.ppo.critic_images and not self.privileged_critic:
-                raise UsageError(
-                    "critic_images=false needs the privileged critic: leave out --no-privileged-critic."
+                raise wrong_value(
+                    "critic_images",
+                    False,
+                    "true without the privileged critic",
+                    "Leave out --no-privileged-critic.",
                 )
             rows = self.worlds * self.ppo.rollout_steps
             if rows % self.ppo.minibatches:
-                raise UsageError(
-                    f"{self.worlds} worlds x {self.ppo.rollout_steps} steps give {rows} samples, which "
-                    f"{self.ppo.minibatches} minibatches do not divide evenly. The nearest that fit are "
-                    f"{self._fitting()}."
+                raise wrong_value(
+                    "minibatches",
+                    self.ppo.minibatches,
+                    f"such that {self.worlds} worlds x {self.ppo.rollout_steps} steps, {rows} samples, divide evenly",
+                    f"The nearest that fit are {self._fitting()}.",
                 )
 
     def _fitting(self) -> str:

@@ -17,7 +17,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from mjhab.core.errors import UsageError
+from mjhab.core.errors import UsageError, fault
 from mjhab.envs.parts.memory import available_mb
 from mjhab.learning.reinforcement.agent_encoder import AgentObs
 
@@ -171,9 +171,10 @@ class ReplayBuffer:
         if path.is_file():
             array = np.lib.format.open_memmap(path, mode="r+")
             if array.shape != size or array.dtype != dtype:
-                raise UsageError(
-                    f"{path} holds an array {array.shape} {array.dtype} instead of {size} {dtype}: it belongs to "
-                    "another run."
+                raise fault(
+                    path,
+                    f"holds an array {array.shape} {array.dtype} instead of {size} {dtype}: it belongs to "
+                    "another run.",
                 )
         else:
             self.is_new = True

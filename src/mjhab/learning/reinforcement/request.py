@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from typing import Any
 
-from mjhab.core.errors import UsageError
+from mjhab.core.errors import UsageError, fault
 from mjhab.learning.checkpoint import load_student
 from mjhab.learning.configs import BC, GAUSSIAN, GAUSSIAN_ACTIONS
 from mjhab.learning.reinforcement.specs import ReinforcementSpec
@@ -52,9 +52,10 @@ def check_start(spec: ReinforcementSpec) -> None:
         and not ppo.demonstrations
         and not spec.start
     ):
-        raise UsageError(
-            f"preset {spec.config.preset} begins from a trained student: give --start CHECKPOINT, or train from "
-            "random weights with --preset scratch."
+        raise fault(
+            f"preset {spec.config.preset}",
+            "begins from a trained student: give --start CHECKPOINT, or train from "
+            "random weights with --preset scratch.",
         )
 
 

@@ -9,7 +9,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, ClassVar
 
-from mjhab.core.errors import UsageError
+from mjhab.core.errors import wrong_value
 from mjhab.core.machine import cores
 from mjhab.core.typed.bounds import Bound
 from mjhab.core.typed.flags import Flag
@@ -61,12 +61,15 @@ class ReinforcementSpec(TrainSpec):
         check_data(self.data, self.where)
         config = self.config
         if self.data and config.algorithm != RLPD:
-            raise UsageError(
-                f"{config.algorithm} does not take recorded demonstrations: leave out data, or train rlpd."
+            raise wrong_value(
+                "data",
+                self.data,
+                f"left out with {config.algorithm}",
+                "Train rlpd with recorded demonstrations.",
             )
         begins = config.ppo is not None and config.ppo.demonstrations
         if config.samples < 1 and not begins:
-            raise UsageError(f"samples must be at least 1, got {config.samples}.")
+            raise wrong_value("samples", config.samples, "at least 1")
 
     @cached_property
     def config(self) -> ReinforcementConfig:

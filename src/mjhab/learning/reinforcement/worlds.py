@@ -12,7 +12,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from mjhab.core.errors import UsageError
+from mjhab.core.errors import wrong_value
 from mjhab.core.seeding import stream
 from mjhab.learning.reinforcement.agent_encoder import AgentEncoder, AgentObs
 
@@ -89,9 +89,10 @@ class Worlds:
         rules: TrainingRules | None = None,
     ) -> None:
         if env.config.autoreset != "disabled":
-            raise UsageError(
-                "reinforcement learning resets the worlds itself; make the environment with autoreset='disabled', not "
-                f"{env.config.autoreset!r}."
+            raise wrong_value(
+                "autoreset",
+                env.config.autoreset,
+                "'disabled': reinforcement learning resets the worlds itself",
             )
         self.env = env
         self.encoder = encoder

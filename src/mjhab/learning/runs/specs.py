@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Self
 from mjhab.config.env import SPLITS, EnvConfig
 from mjhab.config.env_spec import EnvSpec
 from mjhab.config.env_spec import env_options as env_mark
-from mjhab.core.errors import UsageError, unknown_name
+from mjhab.core.errors import unknown_name, wrong_value
 from mjhab.core.machine import cores
 from mjhab.core.typed.bounds import Bound, Output
 from mjhab.core.typed.flags import Flag, OptionsOf
@@ -208,8 +208,8 @@ class TrainSpec(EnvSpec):
         if not isinstance(config, kind):
             config = presets(self.ALGORITHM, config)
         elif self.ALGORITHM not in ("", config.algorithm):
-            raise UsageError(
-                f"the preset of {self.ALGORITHM} must be of this algorithm; it is of {config.algorithm}."
+            raise wrong_value(
+                "preset", config.algorithm, f"one of algorithm {self.ALGORITHM}"
             )
         return with_changes(config, self.set, changes_of(self, config))
 
@@ -297,12 +297,17 @@ class ImitationSpec(TrainSpec):
         object.__setattr__(self, "style", tuple(Styles.parse(self.style).words))
         check_data(self.data, self.where)
         if self.data and self.demos is not None:
-            raise UsageError(
-                "demos is about demonstrations that the expert generates, but data names recorded ones: leave one out."
+            raise wrong_value(
+                "demos",
+                self.demos,
+                "left out with data: the expert generates demos, data names recorded demonstrations",
             )
         if self.per_target and not self.data:
-            raise UsageError(
-                "per_target chooses among recorded demonstrations: give data, or demos."
+            raise wrong_value(
+                "per_target",
+                self.per_target,
+                "left out without data",
+                "It chooses among recorded demonstrations: give data, or demos.",
             )
         _ = self.config, self.scenes
 
@@ -365,7 +370,12 @@ def check_data(data: tuple[Path, ...], where: str | None) -> None:
         return
     Filter(where)
     if not data:
-        raise UsageError("where filters recorded demonstrations: give data.")
+        raise wrong_value(
+            "where",
+            where,
+            "left out without data",
+            "It filters recorded demonstrations: give data.",
+        )
 
 
 def _also(like: Scene, text: str) -> Scene:
@@ -377,9 +387,10 @@ def _also(like: Scene, text: str) -> Scene:
     task, _, rest = text.partition("/")
     subtask, _, target = rest.partition("/")
     if not task or not subtask:
-        raise UsageError(
-            f"also takes TASK/SUBTASK or TASK/SUBTASK/TARGET, for instance set_table/open/fridge/top_door; got "
-            f"{text!r}."
+        raise wrong_value(
+            "also",
+            text,
+            "TASK/SUBTASK or TASK/SUBTASK/TARGET, for instance set_table/open/fridge/top_door",
         )
     TASKS.check(task)
     SUBTASKS.check(subtask)
@@ -455,14 +466,17 @@ class DaggerSpec(ImitationSpec):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.teacher and (self.style or self.first_prefix or self.prefix_growth):
-            raise UsageError(
-                "style, first_prefix and prefix_growth are of an expert who takes over; a teacher does not: leave them "
-                "out, or the teacher."
+            raise wrong_value(
+                "teacher",
+                self.teacher,
+                "left out with style, first_prefix and prefix_growth",
+                "These are of an expert who takes over; a teacher does not.",
             )
         if len(self.teacher) not in (0, 1, len(self.scenes)):
-            raise UsageError(
-                f"teacher takes one policy, or one for each of the {len(self.scenes)} subtasks and packs; got "
-                f"{len(self.teacher)}."
+            raise wrong_value(
+                "teacher",
+                len(self.teacher),
+                f"one policy, or one for each of the {len(self.scenes)} subtasks and packs",
             )
 
     @property

@@ -8,7 +8,7 @@ import math
 import torch
 from torch import Tensor, nn
 
-from mjhab.core.errors import UsageError
+from mjhab.core.errors import UsageError, wrong_value
 from mjhab.learning.configs import GAUSSIAN_ACTIONS, StudentConfig
 from mjhab.learning.demos import Demonstrations
 from mjhab.learning.devices import normal
@@ -116,9 +116,10 @@ def gaussian_of(student: BehaviourCloning) -> ActionGaussian:
     normalizer = student.action_normalizer
     least, most = made.log_std_limits
     if not least < math.log(START_STD) < most:
-        raise UsageError(
-            f"network.log_std must enclose {math.log(START_STD):.2f}, the spread of an actor that begins from a "
-            f"student; got {least}, {most}."
+        raise wrong_value(
+            "network.log_std",
+            (least, most),
+            f"around {math.log(START_STD):.2f}, the spread of an actor that begins from a student",
         )
     share = 2.0 * (math.log(START_STD) - least) / (most - least) - 1.0
     with torch.no_grad():

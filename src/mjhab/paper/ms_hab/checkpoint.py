@@ -9,7 +9,7 @@ from typing import Any
 
 from torch import Tensor
 
-from mjhab.core.errors import UsageError
+from mjhab.core.errors import fault
 from mjhab.data.imports.torch_files import read_torch
 from mjhab.learning.checkpoint import check_finite
 from mjhab.paper.ms_hab import ppo, sac
@@ -75,15 +75,17 @@ def load_network(path: Path) -> tuple[str, Network]:
     try:
         network = layout.build(shapes)
     except (ValueError, RuntimeError) as error:
-        raise UsageError(
-            f"{path} has the keys of MS-HAB's {layout.name.upper()} network, but inconsistent sizes: {error}."
+        raise fault(
+            path,
+            f"has the keys of MS-HAB's {layout.name.upper()} network, but inconsistent sizes: {error}.",
         ) from error
     expected = {key: tuple(value.shape) for key, value in network.state_dict().items()}
     wrong = _differences(expected, shapes)
     if wrong:
-        raise UsageError(
-            f"{path} has the keys of MS-HAB's {layout.name.upper()} network, but not its layout: {'; '.join(wrong)}. "
-            "Give a checkpoint as MS-HAB's train scripts save it (policy.pt), with images of 128 x 128."
+        raise fault(
+            path,
+            f"has the keys of MS-HAB's {layout.name.upper()} network, but not its layout: {'; '.join(wrong)}. "
+            "Give a checkpoint as MS-HAB's train scripts save it (policy.pt), with images of 128 x 128.",
         )
     check_finite(path, used)
     network.load_state_dict(used)
@@ -103,8 +105,9 @@ def _parameters(path: Path, content: Any) -> dict[str, Tensor]:
             if isinstance(content, Mapping)
             else type(content).__name__
         )
-        raise UsageError(
-            f"{path} holds no parameters of a policy: expected a dict of tensors under {AGENT!r}; it holds {held}."
+        raise fault(
+            path,
+            f"holds no parameters of a policy: expected a dict of tensors under {AGENT!r}; it holds {held}.",
         )
     return {str(key): value for key, value in agent.items()}
 
@@ -124,9 +127,10 @@ def _recognise(path: Path, shapes: Shapes) -> NetworkKind:
     )
     missing = [key for key in published[nearest] if key not in shapes]
     extra = [key for key in shapes if key not in published[nearest]]
-    raise UsageError(
-        f"{path} is of another layout than MS-HAB's {', '.join(name.upper() for name in LAYOUTS)}. Nearest is "
-        f"{nearest.upper()}: {_listed('missing', missing)}; {_listed('too many', extra)}."
+    raise fault(
+        path,
+        f"of another layout than MS-HAB's {', '.join(name.upper() for name in LAYOUTS)}. Nearest is "
+        f"{nearest.upper()}: {_listed('missing', missing)}; {_listed('too many', extra)}.",
     )
 
 

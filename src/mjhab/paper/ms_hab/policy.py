@@ -13,7 +13,7 @@ from torch import Tensor
 
 from mjhab.core.arrays import to_numpy
 from mjhab.core.conventions.names import PUBLISHED, Conventions
-from mjhab.core.errors import UsageError
+from mjhab.core.errors import UsageError, wrong_value
 from mjhab.core.seeding import stream
 from mjhab.paper.ms_hab.checkpoint import load_network
 from mjhab.paper.ms_hab.network import CAMERAS, IMAGE_SIDE_PX, STATE_SIZE, Network
@@ -218,8 +218,10 @@ def _looked_at(
     for name, key in keys.items():
         values = to_numpy(obs[key])
         if values.shape != shapes[name]:
-            raise UsageError(
-                f"observation {key} has shape {values.shape}; policies of MS-HAB need {shapes[name]}."
+            raise wrong_value(
+                f"observation {key}",
+                values.shape,
+                f"of shape {shapes[name]} for policies of MS-HAB",
             )
         seen[name] = values if name == _STATE else values[..., 0]
     return seen

@@ -7,7 +7,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
-from mjhab.core.errors import UsageError
+from mjhab.core.errors import wrong_value
 from mjhab.evaluation.resolve import (
     MS_HAB_PREFIX,
     OpenedPolicy,
@@ -73,7 +73,7 @@ class MsHabFile(OpenedPolicy):
 def _path_of(spec: str) -> Path:
     path = spec.removeprefix(MS_HAB_PREFIX)
     if not path:
-        raise UsageError(
-            f"policy {spec!r} names no file; give a checkpoint of MS-HAB, as in {MS_HAB_PREFIX}CHECKPOINT.pt"
+        raise wrong_value(
+            "policy", spec, f"a checkpoint of MS-HAB, as in {MS_HAB_PREFIX}CHECKPOINT.pt"
         )
     return Path(path)

@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mjhab.core.errors import UsageError
+from mjhab.core.errors import fault
 from mjhab.core.files.reading import read_json_object
 from mjhab.core.files.run_folder import CONFIG, RunFolder, write_text
 from mjhab.evaluation.evaluate import EvalSpec, run_evaluation
@@ -266,8 +266,9 @@ def policy_run(spec: TableSpec, row: TableRow, target: str) -> Path:
     if spec.policies is not None:
         run = _policy_folder(spec.policies, row, target) / TRAIN
         if not (run / STUDENT).is_file():
-            raise UsageError(
-                f"{spec.policies} has no policy for {_name_of(row, target)}: there is no {run / STUDENT}."
+            raise fault(
+                spec.policies,
+                f"has no policy for {_name_of(row, target)}: there is no {run / STUDENT}.",
             )
         return run
     run = _policy_folder(spec.out, row, target) / TRAIN

@@ -11,7 +11,7 @@ from typing import Annotated, Any
 from mjhab.config.env import EnvConfig
 from mjhab.config.env_spec import PROFILE, EnvSpec, env_options
 from mjhab.config.profiles import MS_HAB
-from mjhab.core.errors import UsageError, unknown_name
+from mjhab.core.errors import fault, unknown_name, wrong_value
 from mjhab.core.typed.bounds import Bound, Output, Positive
 from mjhab.core.typed.flags import Flag
 from mjhab.core.typed.options import taken
@@ -235,15 +235,19 @@ def chosen_rows(spec: TableSpec) -> list[TableRow]:
     _ = spec.asked
     compares = spec.what in (*STUDIES, *REWARDED)
     if compares and spec.column != STUDENTS:
-        raise UsageError(
-            f"the variants of {spec.what} say how policies are trained: leave out --column {spec.column}."
+        raise wrong_value(
+            "column",
+            spec.column,
+            f"left out with {spec.what}, whose variants say how policies are trained",
         )
     if compares and spec.policies is not None:
-        raise UsageError(f"{spec.what} compares ways of training: leave out --policies.")
+        raise fault(spec.what, "compares ways of training: leave out --policies.")
     for name in ("demos", "updates"):
         if getattr(spec, name) and spec.what not in STUDIES:
-            raise UsageError(
-                f"--{name} is for {', '.join(STUDIES)}, not for {spec.what}."
+            raise wrong_value(
+                name,
+                getattr(spec, name),
+                f"left out with {spec.what}; it is for {', '.join(STUDIES)}",
             )
     if "robot" in spec.env:
         # The files of a robot may not be installed.
@@ -254,8 +258,8 @@ def chosen_rows(spec: TableSpec) -> list[TableRow]:
         for part in policy_rows(row):
             _check_preset(spec, part)
     if spec.policies is not None and not (spec.policies / "config.json").is_file():
-        raise UsageError(
-            f"{spec.policies} is not a folder of `mjhab reproduce`: it has no config.json."
+        raise fault(
+            spec.policies, "not a folder of `mjhab reproduce`: it has no config.json."
         )
     return rows
 

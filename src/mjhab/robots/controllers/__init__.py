@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from mjhab.core.arrays import Array
-from mjhab.core.errors import UsageError
+from mjhab.core.errors import wrong_value
 from mjhab.core.typed.checks import check, check_shape
 from mjhab.robots.controllers.arm import ArmRequest
 from mjhab.robots.controllers.controller import BASES, STATIONARY, BodyOptions, Controller
@@ -93,7 +93,10 @@ def check_actions(
         actions = actions.astype(np.float32, copy=False)
     if not np.isfinite(actions).all():
         world, dim = (int(i) for i in np.argwhere(~np.isfinite(actions))[0])
-        raise UsageError(
-            f"actions must be finite; world {world} has {actions[world, dim]} in dimension {dim} ({table[dim].name})"
+        raise wrong_value(
+            "actions",
+            float(actions[world, dim]),
+            "finite",
+            f"It is in dimension {dim} ({table[dim].name}) of world {world}.",
         )
     return actions

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from mjhab.core.errors import UsageError, about, fault, shown, wrong_value
+from mjhab.core.errors import about, fault, shown, wrong_value
 from mjhab.core.files.reading import beside, read_json_object
 from mjhab.core.names import check_name
 from mjhab.core.rotations import mat_from_quat, quat_from_mat
@@ -47,8 +47,9 @@ def check_folder(folder: Path) -> None:
     """
     missing = [name for name in FOLDERS if not (folder / name).is_dir()]
     if missing:
-        raise UsageError(
-            f"'{folder}' is not a whole ReplicaCAD data set: {', '.join(missing)} missing; {HOW_TO_GET}."
+        raise fault(
+            folder,
+            f"not a whole ReplicaCAD data set: {', '.join(missing)} missing; {HOW_TO_GET}.",
         )
 
 

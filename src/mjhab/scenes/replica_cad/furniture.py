@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from mjhab.core.errors import UsageError, fault
+from mjhab.core.errors import fault
 from mjhab.core.rotations import mat_from_quat
 from mjhab.scenes.builtin.furniture_kitchen import FRIDGE_FRONT_AREA
 from mjhab.scenes.formats.gltf import TO_Z_UP, read_glb, read_hulls
@@ -187,8 +187,9 @@ class Furniture:
     def _urdf(self, name: str) -> tuple[Urdf, Path]:
         paths = sorted(self.folder.glob(f"urdf/*/{name}.urdf"))
         if not paths:
-            raise UsageError(
-                f"{self.folder / 'urdf'} has no {name}.urdf, which a scene names; {HOW_TO_GET}."
+            raise fault(
+                self.folder / "urdf",
+                f"has no {name}.urdf, which a scene names; {HOW_TO_GET}.",
             )
         return read_urdf(paths[0]), paths[0]
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 
-from mjhab.core.errors import UsageError
+from mjhab.core.errors import fault
 from mjhab.scenes.pack_source import PackRequest, PackSource
 from mjhab.scenes.replica_cad.files import SCENE_SUFFIX, is_replica_cad
 from mjhab.scenes.replica_cad.stage_choice import StageRequest, can_stand_in
@@ -44,7 +44,7 @@ def _data_set(folder: Path) -> Path | None:
 def _open(request: PackRequest) -> Pack:
     found = locate(request.place)
     if found is None:
-        raise UsageError(f"{request.place!r} is no ReplicaCAD data set.")
+        raise fault(request.place, "no ReplicaCAD data set.")
     folder, scenes = found
     stage = StageRequest(
         request.stage, Path(request.stage_mesh) if request.stage_mesh else None

@@ -18,12 +18,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from mjhab.core.errors import (
-    UsageError,
-    fault,
-    unknown_name,
-    warn_once,
-)
+from mjhab.core.errors import fault, unknown_name, warn_once
 from mjhab.core.rotations import mat_from_quat
 from mjhab.scenes import roles
 from mjhab.scenes.builtin.objects import builtin_objects, object_meshes
@@ -99,8 +94,9 @@ def open_replica_cad(
         else [name for name in names if STAGED.fullmatch(name)]
     )
     if not chosen:
-        raise UsageError(
-            f"{folder / 'configs' / 'scenes'} has no staged scene (v3_sc*_staging_*); {HOW_TO_GET}."
+        raise fault(
+            folder / "configs" / "scenes",
+            f"has no staged scene (v3_sc*_staging_*); {HOW_TO_GET}.",
         )
     staged = tuple(name for name in names if STAGED.fullmatch(name))
     stages = Stages(folder, stage or StageRequest())

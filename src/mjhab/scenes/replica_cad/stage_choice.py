@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from mjhab.core.errors import UsageError
+from mjhab.core.errors import UsageError, fault
 from mjhab.scenes.replica_cad.files import (
     NAVMESHES,
     SCENE_SUFFIX,
@@ -61,7 +61,7 @@ class StageRequest:
 
     def __post_init__(self) -> None:
         if self.mesh is not None and not self.mesh.is_file():
-            raise UsageError(f"stage mesh {str(self.mesh)!r} does not exist.")
+            raise fault(self.mesh, "this stage mesh does not exist.")
 
 
 @dataclass(eq=False)

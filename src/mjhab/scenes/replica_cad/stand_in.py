@@ -28,7 +28,7 @@ from pathlib import Path
 import numpy as np
 from scipy.ndimage import label
 
-from mjhab.core.errors import UsageError
+from mjhab.core.errors import fault
 from mjhab.scenes.formats.gltf import TO_Z_UP
 from mjhab.scenes.replica_cad.stage import (
     MATERIAL,
@@ -107,10 +107,11 @@ def crossing_area(walls: Sequence[Geom], floor: Walkable) -> float:
 def _check_frame(file: Path, walls: Sequence[Geom], floor: Walkable) -> None:
     crossing = crossing_area(walls, floor)
     if crossing > MAX_CROSSING_M2:
-        raise UsageError(
-            f"{file}: {crossing:.2f} m^2 of its walls stand on floor that the navigation meshes of the scenes call "
+        raise fault(
+            file,
+            f"{crossing:.2f} m^2 of its walls stand on floor that the navigation meshes of the scenes call "
             f"walkable, expected at most {MAX_CROSSING_M2:g} m^2: it is no stage in their frame, and its walls would "
-            "run through rooms and furniture. Give another with --stage-mesh, or --stage none."
+            "run through rooms and furniture. Give another with --stage-mesh, or --stage none.",
         )
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
 from mjhab.core.arithmetic.sums import ordered_sum
-from mjhab.core.errors import UsageError, fault
+from mjhab.core.errors import fault
 from mjhab.scenes.builtin.objects import BOWL_WALL_M, MASSES
 from mjhab.scenes.formats.gltf import Primitive, read_glb
 from mjhab.scenes.object_glb import check_extent
@@ -67,9 +67,10 @@ def read_ycb(folder: Path) -> tuple[dict[str, ObjectType], dict[str, object]]:
     """
     for name in MASSES:
         if not (folder / name / SCAN).is_file():
-            raise UsageError(
-                f"YCB folder '{folder}' has no {name}/{SCAN}; it must hold the ten objects "
-                f"{', '.join(MASSES)}. `mjhab assets fetch ycb` gets them."
+            raise fault(
+                folder,
+                f"YCB folder without {name}/{SCAN}; it must hold the ten objects "
+                f"{', '.join(MASSES)}. `mjhab assets fetch ycb` gets them.",
             )
     types: dict[str, ObjectType] = {}
     meshes: dict[str, object] = {}

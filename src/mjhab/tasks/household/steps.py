@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from mjhab.core.errors import UsageError
+from mjhab.core.errors import missing_field
 from mjhab.tasks.plan import GOAL_OF, Subtask, SubtaskKind, Target
 
 
@@ -51,8 +51,10 @@ def open_goal(target: Target) -> list[Subtask]:
 
 def _opened(target: Target, link: str, which: str) -> list[Subtask]:
     if not link:
-        raise UsageError(
-            f"the plan needs a {which} for {target.obj!r}: the drawer or door that it opens."
+        raise missing_field(
+            which,
+            f"target {target.obj!r}",
+            "The plan needs the drawer or door that it opens.",
         )
     kind = SubtaskKind
     handle = target.handle_pos

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 from mjhab.core.arithmetic.sums import ordered_sum
 from mjhab.core.arrays import Array, constant, namespace, pile
-from mjhab.core.errors import UsageError, unknown_name, wrong_value
+from mjhab.core.errors import unknown_name, wrong_value
 from mjhab.core.joints import BASE_X, BASE_YAW
 from mjhab.tasks.posture import off_rest
 from mjhab.tasks.signals import Signals, WorldState
@@ -171,8 +171,8 @@ def near(
     """
     if sharpness.keys() != distances.keys():
         strange = ", ".join(sorted(sharpness.keys() ^ distances.keys()))
-        raise UsageError(
-            f"sharpness and distances must have the same names; only one has {strange}"
+        raise wrong_value(
+            "distances", strange, "names that sharpness has, too, and the other way round"
         )
     rows = pile([distances[name] for name in sharpness])
     column = constant(tuple(sharpness.values()), rows)[:, None]

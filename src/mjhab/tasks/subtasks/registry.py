@@ -8,7 +8,7 @@ from functools import lru_cache
 import numpy as np
 
 from mjhab.core.arrays import Array, Table, constant
-from mjhab.core.errors import UsageError
+from mjhab.core.errors import unknown_name, wrong_value
 from mjhab.core.registration.plugins import PATHS_VARIABLE, failed_plugins
 from mjhab.core.registration.registry import Registry, check_item
 from mjhab.tasks.subtasks.spec import EVENT_EDGES, SubtaskSpec
@@ -57,10 +57,11 @@ def recorded_number(name: str) -> int:
         UsageError: there is no such subtask; the message says how a plugin is loaded.
     """
     if name not in SUBTASKS:
-        raise UsageError(
-            f"recorded subtask {name!r} is not known here; known are {', '.join(SUBTASKS)}. If a plugin registers it, "
-            f"load the plugin: {PATHS_VARIABLE}=PATH mjhab ...{failed_plugins()}"
+        advice = (
+            f"If a plugin registers it, load the plugin: {PATHS_VARIABLE}=PATH mjhab ..."
         )
+        advice = f"{advice} {failed_plugins()}".strip()
+        raise unknown_name("recorded subtask", name, SUBTASKS, advice=advice)
     return number_of(name)
 
 
@@ -73,9 +74,7 @@ def name_of(kind: int) -> str:
     names = SUBTASKS.names()
     if not 0 <= kind < len(names):
         numbered = ", ".join(f"{number} {name}" for number, name in enumerate(names))
-        raise UsageError(
-            f"there is no subtask with the number {int(kind)}; there are {numbered}."
-        )
+        raise wrong_value("number of a subtask", int(kind), f"one of {numbered}")
     return names[kind]
 
 

@@ -312,13 +312,14 @@ class SubtaskSpec:
             raise fault(where, str(error)) from error
         # A plugin's rule can raise any exception.
         except Exception as error:
-            raise UsageError(f"{where} raised {raised_text(error)}.") from error
+            raise fault(where, f"raised {raised_text(error)}.") from error
         if not (isinstance(given, np.ndarray) and given.shape == (_TRIED_WORLDS,)) or (
             given.dtype != np.bool_
         ):
-            raise UsageError(
-                f"{where} must give one bool per world, shape (W,), as LabelState.ever and holds do; "
-                f"got {value_text(given)}."
+            raise fault(
+                where,
+                "must give one bool per world, shape (W,), as LabelState.ever and holds do; "
+                f"got {value_text(given)}.",
             )
 
     @property

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from mjhab.core.errors import UsageError
+from mjhab.core.errors import wrong_value
 from mjhab.core.files.reading import parse_json
 from mjhab.envs.sequential import SequentialTaskEnv
 from mjhab.robots.controllers import DEFAULT_MODE, make_controller
@@ -193,9 +193,7 @@ class HandControl:
         """
         mode = env.config.control_mode
         if mode != DEFAULT_MODE:
-            raise UsageError(
-                f"by hand needs control_mode {DEFAULT_MODE!r}; this environment has {mode!r}."
-            )
+            raise wrong_value("control_mode", mode, f"{DEFAULT_MODE!r} by hand")
         self._take_robot(env.layout.robot)
         state = _Joints(env.state.robot_q[[world]])
         self._arm.reset(np.ones(1, bool), state)

@@ -6,7 +6,7 @@ import threading
 from collections.abc import Sequence
 from pathlib import Path
 
-from mjhab.core.errors import MjhabError, UsageError
+from mjhab.core.errors import MjhabError, UsageError, fault
 from mjhab.data.select.query import Filter
 from mjhab.data.store.places import shard_paths
 from mjhab.data.store.reading import RecordedEpisode, open_shard
@@ -223,8 +223,9 @@ def _refuse_evaluations(places: Path | Sequence[Path]) -> None:
     """
     for place in [places] if isinstance(places, Path) else places:
         if (place / EPISODES_FILE).is_file() and not any(place.rglob("*.h5")):
-            raise UsageError(
-                f"{place} is the folder of an evaluation, which keeps no states. Record its episodes with `mjhab "
+            raise fault(
+                place,
+                "is the folder of an evaluation, which keeps no states. Record its episodes with `mjhab "
                 "generate --out FOLDER` and the policy, task, subtask, split and seed of its config.json, and view "
-                "that folder."
+                "that folder.",
             )

@@ -11,8 +11,8 @@ from typing import Any, ClassVar
 
 from mjhab.compat.mshab.files.subtasks import SUBTASK_CLASSES, Subtask
 from mjhab.core.errors import (
-    UsageError,
     about,
+    fault,
     missing_field,
     unknown_name,
     wrong_type,
@@ -126,14 +126,14 @@ def _parsed(path: Path) -> Any:
     try:
         import yaml
     except ImportError as error:
-        raise UsageError(
-            f"{path}: plans in YAML need `pip install pyyaml`; JSON needs nothing."
+        raise fault(
+            path, "plans in YAML need `pip install pyyaml`; JSON needs nothing."
         ) from error
     try:
         return yaml.safe_load(raw)
     except (yaml.YAMLError, UnicodeDecodeError, RecursionError) as error:
         text = " ".join(str(error).split())
-        raise UsageError(f"{path}: not valid YAML ({text}).") from error
+        raise fault(path, f"not valid YAML ({text}).") from error
 
 
 def _plan(row: Any, where: str) -> TaskPlan:

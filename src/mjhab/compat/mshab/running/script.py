@@ -13,7 +13,7 @@ from pathlib import Path
 from mjhab.compat.mshab.running.habits import keep_old_habits, stay_on_the_cpu
 from mjhab.compat.mshab.running.hook import install
 from mjhab.compat.mshab.running.table import FOREIGN
-from mjhab.core.errors import UsageError, warn_once
+from mjhab.core.errors import UsageError, fault, warn_once
 
 PACKAGE = "mshab"
 """Name of the folder with MS-HAB's own package."""
@@ -27,8 +27,9 @@ def find_script(name: str) -> Path:
     """
     path = Path(name)
     if not path.is_file():
-        raise UsageError(
-            f"{name}: no such script. Usage: python -m mjhab.compat.mshab SCRIPT.py ARGS... (or -m MODULE ARGS...)"
+        raise fault(
+            name,
+            "no such script. Usage: python -m mjhab.compat.mshab SCRIPT.py ARGS... (or -m MODULE ARGS...)",
         )
     return path
 
@@ -65,8 +66,9 @@ def run_module(name: str, arguments: Sequence[str]) -> None:
     except ModuleNotFoundError:
         found = None
     if found is None:
-        raise UsageError(
-            f"{name}: no such module. Begin in the folder that holds its package, such as a checkout of MS-HAB."
+        raise fault(
+            name,
+            "no such module. Begin in the folder that holds its package, such as a checkout of MS-HAB.",
         )
     sys.argv = [name, *arguments]
     with _imports_told():

@@ -11,7 +11,7 @@ from mjhab.compat.mshab.files.plans import TaskPlan
 from mjhab.compat.mshab.files.subtasks import SUBTASK_CLASSES, SubtaskConfig
 from mjhab.compat.mshab.worlds.limits import changed_configs, default_configs
 from mjhab.compat.mshab.worlds.sensors import SIDE_PX, asked_pictures, is_ray_traced
-from mjhab.core.errors import UsageError, unknown_name, warn_once, wrong_value
+from mjhab.core.errors import UsageError, fault, unknown_name, warn_once, wrong_value
 from mjhab.core.typed.checks import check
 from mjhab.robots.registry import DEFAULT_ROBOT
 
@@ -184,9 +184,10 @@ def _check_plans(made: Arguments) -> None:
             "plans with the same subtasks in the same order",
         )
     if made.subtask and made.spawn_data_fp is None:
-        raise UsageError(
-            f"{_env_id((made.subtask,))} with task_plans needs spawn_data_fp, the file of their starts; "
-            "`mjhab episodes plans` writes both."
+        raise fault(
+            _env_id((made.subtask,)),
+            "with task_plans needs spawn_data_fp, the file of their starts; "
+            "`mjhab episodes plans` writes both.",
         )
 
 

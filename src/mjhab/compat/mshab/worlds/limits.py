@@ -13,7 +13,7 @@ from mjhab.compat.mshab.files.subtasks import (
     PlaceSubtaskConfig,
     SubtaskConfig,
 )
-from mjhab.core.errors import UsageError, unknown_name, wrong_type
+from mjhab.core.errors import unknown_name, wrong_type, wrong_value
 
 OPEN_SHARES = {"default": 0.9, "fridge": 0.75, "kitchen_counter": 0.9}
 TRAIN_NAVIGATE_HORIZON = 1000
@@ -78,8 +78,10 @@ def overrides_of(
     for name, ours in _SHARED.items():
         values = {kind: float(getattr(configs[kind], name)) for kind in kinds}
         if len(set(values.values())) > 1:
-            raise UsageError(
-                f"task_cfgs: {name} must be one number for all subtasks of an environment, got {values}."
+            raise wrong_value(
+                f"task_cfgs: {name}",
+                values,
+                "one number for all subtasks of an environment",
             )
         options[ours] = next(iter(values.values()))
     for kind in kinds:

@@ -11,7 +11,7 @@ import torch
 from mjhab.compat.mshab.tools.trees import flatten_state_dict, to_tensor
 from mjhab.compat.mshab.worlds.sensors import FETCH_CAMERAS
 from mjhab.compat.mshab.wrappers.forwarding import ForwardingWrapper
-from mjhab.core.errors import UsageError, unknown_name
+from mjhab.core.errors import fault, unknown_name
 from mjhab.core.typed.checks import check
 
 DEPTH_KEYS = ("fetch_head_depth", "fetch_hand_depth")
@@ -54,8 +54,9 @@ class FetchDepthObservationWrapper(_Shown):
         self.cat_pixels = cat_pixels
         mode = env.unwrapped.obs_mode  # type: ignore[attr-defined]
         if "depth" not in mode and "rgbd" not in mode:
-            raise UsageError(
-                f"{type(self).__name__} needs depth, and obs_mode is {mode!r}; give 'depth' or 'rgbd'."
+            raise fault(
+                type(self).__name__,
+                f"needs depth, and obs_mode is {mode!r}; give 'depth' or 'rgbd'.",
             )
         self._take_space()
 

@@ -17,7 +17,7 @@ from mjhab.compat.mshab.wrappers.film import RecordedFilm
 from mjhab.compat.mshab.wrappers.forwarding import ForwardingWrapper
 from mjhab.compat.mshab.wrappers.trajectory import TrajectoryFile, described_episode
 from mjhab.compat.mshab.wrappers.vector import find_max_episode_steps_value
-from mjhab.core.errors import UsageError
+from mjhab.core.errors import UsageError, wrong_value
 
 
 class RecordEpisode(ForwardingWrapper):
@@ -77,8 +77,8 @@ class RecordEpisode(ForwardingWrapper):
     ) -> None:
         super().__init__(env)
         if render_substeps:
-            raise UsageError(
-                "render_substeps=True: films have a picture per control step; leave it out."
+            raise wrong_value(
+                "render_substeps", True, "left out: films have a picture per control step"
             )
         base = self.base_env
         if save_video and base.num_envs > 1 and max_steps_per_video is None:

@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 import gymnasium
 
 from mjhab.compat.mshab.wrappers.record import RecordEpisode
-from mjhab.core.errors import UsageError, unknown_name
+from mjhab.core.errors import fault, missing_field, unknown_name
 
 FILTERS = ("any", "success", "min_success_subtasks")
 
@@ -38,11 +38,13 @@ class RecordEpisodeSequentialTask(RecordEpisode):
         **options: Any,
     ) -> None:
         if env.unwrapped.arguments.subtask:  # type: ignore[attr-defined]
-            raise UsageError(f"{type(self).__name__} is for whole tasks.")
+            raise fault(type(self).__name__, "is for whole tasks.")
         if demo_filter not in FILTERS:
             raise unknown_name("demo_filter", demo_filter, FILTERS)
         if demo_filter == FILTERS[2] and min_success_subtasks is None:
-            raise UsageError("demo_filter 'min_success_subtasks' needs that number.")
+            raise missing_field(
+                "min_success_subtasks", "demo_filter 'min_success_subtasks'"
+            )
         super().__init__(env, output_dir, **options)
         self.demo_filter = demo_filter
         self.min_success_subtasks = min_success_subtasks

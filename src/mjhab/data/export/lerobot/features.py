@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from mjhab.core.errors import UsageError
+from mjhab.core.errors import UsageError, fault
 from mjhab.core.timing import STEP_SECONDS
 from mjhab.data.select.describing import state_names
 from mjhab.data.select.own_state import split_state
@@ -143,7 +143,8 @@ def film_features(features: Features) -> list[str]:
 def differing(episode: RecordedEpisode, first: Features, other: Features) -> UsageError:
     """Make the error for an episode whose features differ from those of the first one."""
     names = [key for key in {**first, **other} if first.get(key) != other.get(key)]
-    return UsageError(
-        f"episode {episode.name} of {episode.shard.path} differs from the ones before it in {', '.join(names)}; a data "
-        "set needs the same in all. Choose with --where, or leave images out with --no-rgb, --no-depth and --no-seg."
+    return fault(
+        f"episode {episode.name} of {episode.shard.path}",
+        f"differs from the ones before it in {', '.join(names)}; a data "
+        "set needs the same in all. Choose with --where, or leave images out with --no-rgb, --no-depth and --no-seg.",
     )

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from mjhab.core.errors import UsageError
+from mjhab.core.errors import fault
 from mjhab.data.select.query import Filter
 from mjhab.data.select.sets import select
 from mjhab.data.store.places import Place
@@ -94,20 +94,22 @@ def check_episode(session: ReinforcementSession, episode: RecordedEpisode) -> No
         UsageError: it was imported without states; or names the difference and the remedy.
     """
     if lacks_states(episode):
-        raise UsageError(
-            f"episode {episode.name} of {episode.shard.path} was imported from data without states, so its actions "
+        raise fault(
+            f"episode {episode.name} of {episode.shard.path}",
+            "was imported from data without states, so its actions "
             "cannot be simulated again, as reinforcement learning does with demonstrations. Imitate it instead "
             "(mjhab train bc --data ...), exclude it with --where, or leave out --data: the expert then generates "
-            "demonstrations in the environment."
+            "demonstrations in the environment.",
         )
     config = session.env.config
     env = episode.run.config["env"]
     for name in ("task", "subtask", "robot", "control_mode", "base"):
         wanted = getattr(config, name)
         if env.get(name, wanted) != wanted:
-            raise UsageError(
-                f"episode {episode.name} of {episode.shard.path} was recorded with {name} {env[name]!r}, but the run "
-                f"uses {wanted!r}; exclude such episodes with --where."
+            raise fault(
+                f"episode {episode.name} of {episode.shard.path}",
+                f"was recorded with {name} {env[name]!r}, but the run "
+                f"uses {wanted!r}; exclude such episodes with --where.",
             )
     if session.spec.recompute_rewards:
         return
@@ -122,10 +124,11 @@ def check_episode(session: ReinforcementSession, episode: RecordedEpisode) -> No
                 f"{name} {recorded or 'sparse'} instead of {getattr(config, name)}"
             )
     if wrong:
-        raise UsageError(
-            f"episode {episode.name} of {episode.shard.path} was recorded with {', '.join(wrong)}. With "
+        raise fault(
+            f"episode {episode.name} of {episode.shard.path}",
+            f"was recorded with {', '.join(wrong)}. With "
             "--recompute-rewards its actions are simulated again, from its first state, with the profile and the "
-            "rewards of the run."
+            "rewards of the run.",
         )
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor, nn
 
-from mjhab.core.errors import UsageError
+from mjhab.core.errors import wrong_value
 from mjhab.learning.devices import normal
 from mjhab.learning.networks import Trunk
 from mjhab.learning.observation.spec import ObservationSpec
@@ -54,8 +54,11 @@ class Ppo(nn.Module):
         self.actor = actor
         if self.config.freeze_encoder:
             if start is None:
-                raise UsageError(
-                    "freeze_encoder keeps the weights of a student: give one with --start."
+                raise wrong_value(
+                    "freeze_encoder",
+                    True,
+                    "left out without a student",
+                    "It keeps the weights of one: give one with --start.",
                 )
             actor.trunk.requires_grad_(False)
             actor.trunk.layers.requires_grad_(True)

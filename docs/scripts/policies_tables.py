@@ -11,6 +11,7 @@ from typing import Any
 from result_files import interval, percent, place_of, read, source, table
 
 from mjhab.reports.paper import paper_success
+from mjhab.reports.students import WHOLE
 from mjhab.tasks.subtasks.navigate import NAVIGATE
 
 PAPER = ("bc", "rl_per")
@@ -25,6 +26,12 @@ def minutes(training: dict[str, Any]) -> str:
     if training.get("device", "cpu") == "cpu":
         return f"{training['cpu_minutes']:.0f}"
     return f"{training['minutes']:.0f} (GPU)"
+
+
+def views_of(row: dict[str, Any]) -> str:
+    """What the images show if they are not whole ones."""
+    views = row.get("views", WHOLE)
+    return "" if views == WHOLE else f" {views}"
 
 
 def student_table(assets: str) -> str:
@@ -43,7 +50,7 @@ def student_table(assets: str) -> str:
             row["task"],
             row["subtask"],
             row["target"] or "all",
-            str(row["image_size"] or "states"),
+            str(row["image_size"] or "states") + views_of(row),
             str(judged["horizon"] or NAVIGATE.limits.horizon),
         ]
         line += [

@@ -32,8 +32,10 @@ from mjhab.reports.paper import paper_success
 from mjhab.rollout.store import read_records
 
 SECONDS_PER_MINUTE = 60.0
-IDENTITY = ("task", "subtask", "target", "assets", "preset", "image_size", "seed")
-"""Keys that identify a row."""
+IDENTITY = tuple("task subtask target assets preset image_size views seed".split())
+"""Keys that identify a row; a row without ``views`` sees whole images."""
+WHOLE = "whole"
+"""Images as the cameras take them."""
 AND = "+"
 """Between the runs of students that act together."""
 KEEP = Path("-")
@@ -59,11 +61,21 @@ def student_row(run: Path, evaluation: Path) -> dict[str, Any]:
         "assets": pack_name(judged["assets"]),
         "preset": student["preset"],
         "image_size": student["inputs"]["image_size"],
+        "views": views(student["inputs"]),
         "seed": config["seed"],
         "profile": judged["policy_profile"],
         "training": trained[0] | {"members": len(runs)} | _sums(trained),
         **evaluated(judged, evaluation),
     }
+
+
+def views(inputs: Mapping[str, Any]) -> str:
+    """What the images of a student show: whole images, views of the target, or both; see `configs.InputConfig`."""
+    target = bool(inputs.get("target_views", False))
+    whole = bool(inputs.get("whole_views", True))
+    return " + ".join(
+        name for name, shown in ((WHOLE, whole), ("target", target)) if shown
+    )
 
 
 def judged_row(rows: Sequence[dict[str, Any]], evaluation: Path) -> dict[str, Any]:
@@ -198,7 +210,8 @@ def training(run: Path) -> dict[str, Any]:
 def write_rows(path: Path, rows: Sequence[dict[str, Any]]) -> None:
     """Write rows to the file; rows of the same students are replaced."""
     table = {
-        tuple(row[name] for name in IDENTITY): row for row in [*read_rows(path), *rows]
+        tuple(({"views": WHOLE} | row)[name] for name in IDENTITY): row
+        for row in [*read_rows(path), *rows]
     }
     content = {
         "what": "students: policies that act from depth images and state",

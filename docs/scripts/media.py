@@ -18,8 +18,7 @@ import mjhab
 from mjhab.cli.main import main as command
 
 HOMES = ("builtin_m0_00", "builtin_m1_02", "builtin_m2_05", "builtin_m3_04")
-LIGHTS = ("midday", "midday", "evening", "midday")
-"""Time of day of each home in the pictures of the path tracer."""
+LIGHTS = ("midday", "evening")
 PICTURE = (640, 400)
 """Width and height of a picture of a home [px]."""
 FILM = (480, 270)
@@ -33,14 +32,17 @@ NEAR_TO_FAR_M = 3.0
 
 
 def make_homes(into: Path, scratch: Path) -> None:
-    """homes.webp: two by two built-in homes, each from a corner of a room. photo_builtin.webp: by the path tracer."""
+    """homes.webp: two by two built-in homes, each from a corner of a room. photo.webp: the first of them rasterized,
+    and by the path tracer at midday and in the evening, one below the other."""
     drawn = [_home(home, scratch) for home in HOMES]
-    _two_by_two(drawn).save(into / "homes.webp", quality=QUALITY)
+    rows = [np.concatenate(drawn[at : at + 2], axis=1) for at in (0, 2)]
+    Image.fromarray(np.concatenate(rows)).save(into / "homes.webp", quality=QUALITY)
     traced = [
-        _home(home, scratch, "--shader", "path", "--shading.light", light)
-        for home, light in zip(HOMES, LIGHTS, strict=True)
+        _home(HOMES[0], scratch, "--shader", "path", "--shading.light", light)
+        for light in LIGHTS
     ]
-    _two_by_two(traced).save(into / "photo_builtin.webp", quality=QUALITY)
+    photo = Image.fromarray(np.concatenate([drawn[0], *traced]))
+    photo.save(into / "photo.webp", quality=QUALITY)
 
 
 def _home(home: str, scratch: Path, *options: str) -> np.ndarray:
@@ -49,11 +51,6 @@ def _home(home: str, scratch: Path, *options: str) -> np.ndarray:
     shown = ("--view", "inside", *size, *options)
     _run("homes", "render", home, *shown, "--out", str(path))
     return np.asarray(Image.open(path).convert("RGB"))
-
-
-def _two_by_two(pictures: Sequence[np.ndarray]) -> Image.Image:
-    rows = [np.concatenate(pictures[at : at + 2], axis=1) for at in (0, 2)]
-    return Image.fromarray(np.concatenate(rows))
 
 
 def make_films(into: Path, scratch: Path) -> None:

@@ -25,7 +25,6 @@ class Daylight:
         sun: irradiance of the sun on a surface that faces it; all 0: it has set.
         to_sun: unit direction to it.
         lamp: radiance of a lamp whose irradiance is 1 at 2 m, times this factor; colour of the bulb.
-        shade: radiance of lamp shades.
         exposure: factor on the radiance of pictures in rooms; open: of those from above, without ceiling.
     """
 
@@ -35,7 +34,6 @@ class Daylight:
     sun: tuple[float, float, float]
     to_sun: tuple[float, float, float]
     lamp: tuple[float, float, float]
-    shade: float
     exposure: float
     open: float
 
@@ -48,7 +46,6 @@ TIMES = {
         (26.0, 24.0, 20.0),
         (0.44, 0.62, 0.65),
         (0.62, 0.59, 0.54),
-        0.6,
         2.1,
         0.085,
     ),
@@ -59,7 +56,6 @@ TIMES = {
         (0.0, 0.0, 0.0),
         (0.0, 0.0, 1.0),
         (1.0, 0.72, 0.44),
-        5.0,
         1.5,
         1.4,
     ),

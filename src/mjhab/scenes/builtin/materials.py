@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 Pattern = Literal["plain", "wood", "planks", "tiles", "fabric", "stripes"]
-MaterialKind = Literal["", "metal", "glass", "lamp"]
+MaterialKind = Literal["", "metal", "glass"]
 
 
 @dataclass(frozen=True)
@@ -91,9 +91,7 @@ MATERIALS: dict[str, Material] = {
     "terracotta": Material((0.73, 0.42, 0.29)),
     "pot_white": Material((0.90, 0.89, 0.86), gloss=0.3),
     "soil": Material((0.24, 0.17, 0.12)),
-    "lamp_shade": Material(
-        (0.98, 0.93, 0.78), "fabric", (0.95, 0.89, 0.72), 0.02, 0.0, "lamp"
-    ),
+    "lamp_shade": Material((0.98, 0.93, 0.78), "fabric", (0.95, 0.89, 0.72), 0.02, 0.0),
     "picture_sky": Material((0.55, 0.72, 0.83)),
     "picture_sun": Material((0.93, 0.70, 0.32)),
     "picture_hill": Material((0.33, 0.49, 0.42)),

@@ -12,7 +12,10 @@ from mjhab.cli.main import main, parse
 from mjhab.core.errors import MjhabError
 from mjhab.learning import configs
 from mjhab.learning.changes import with_changes
+from mjhab.learning.checkpoint import load_checkpoint
 from mjhab.learning.configs import DaggerConfig, ImitationConfig, InputConfig, preset_of
+from mjhab.paper.reproduce.means import means
+from mjhab.paper.reproduce.results import mean_cells, titles
 from mjhab.paper.reproduce.rows import table_rows
 from mjhab.paper.reproduce.spec import TableSpec, chosen_rows, table_config
 from mjhab.paper.reproduce.studies import config_of
@@ -45,6 +48,7 @@ def test_rows_are_those_of_the_paper() -> None:
         (("--split", "vla"), dict(option="split", given="vla")),
         (("--episodes", "0"), dict(option="episodes", given=0)),
         (("--profile", "ms_hub"), dict(option="profile", expected="ms_hab")),
+        (("--set", "inputs.image_sise=16"), dict(expected="inputs.image_size")),
         (("--variants", "px_64"), dict(option="variant of table1", given="px_64")),
         (("--column", "rl_al"), dict(expected="rl_all")),
         (("--column", "rl_all", "--preset", "small"), dict(said="preset")),
@@ -98,11 +102,15 @@ def test_a_row_is_trained_judged_and_set_beside_the_paper(
         *COMMAND,
         "--out",
         str(tmp_path),
-        *"--worlds 1 --threads 1 --split train".split(),
+        *"--worlds 1 --threads 1 --split train --set inputs.target_in_hand=true".split(),
     ]
     words += ["--episodes", "1"]
     assert main(words) == 0
     (row,) = json.loads(capsys.readouterr().out.splitlines()[-1])["rows"]
+    trained_with = load_checkpoint(
+        tmp_path / row["row"].replace("/", ".") / "train" / "student.safetensors"
+    )
+    assert trained_with.config.inputs.target_in_hand
     assert row["row"] == "set_table/close/drawer" and row["episodes"] == 1
     assert row["low"] <= row["success_once"] <= row["high"]
     assert row["paper"] == {"rl_per": 88.79, "bc": 88.39, "dp": 89.29}
@@ -132,6 +140,20 @@ def test_a_row_is_trained_judged_and_set_beside_the_paper(
     assert (
         tmp_path / "set_table.close.drawer" / "train" / "student.safetensors"
     ).stat().st_mtime_ns == trained
+
+
+def test_the_mean_of_the_rows_is_beside_the_papers() -> None:
+    def row(name: str, ours: float | None, **paper: float) -> dict[str, Any]:
+        return {"row": name, "rules": "evaluation", "success_once": ours, "paper": paper}
+
+    both = [row("a", 0.5, bc=60.0, rl_all=1.0), row("b", 0.7, bc=70.0)]
+    told = {"rules": "evaluation", "rows": 2, "success_once": 0.6, "paper": {"bc": 65.0}}
+    # A row without a result counts neither for us nor for the paper.
+    assert means([*both, row("c", None, bc=0.0)]) == [told]
+    assert not means(both[:1])
+    shown = dict(zip(titles(), mean_cells(told), strict=True))
+    assert (shown["row"], shown["success once [%]"]) == ("mean of 2 rows", 60.0)
+    assert (shown["paper: BC [%]"], shown["paper: RL for all [%]"]) == (65.0, "")
 
 
 def test_a_policy_without_an_update_has_no_result(

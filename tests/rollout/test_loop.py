@@ -194,6 +194,32 @@ def test_sinks_are_closed_when_interrupted() -> None:
     assert log.closed == 1
 
 
+def test_an_interrupted_kernel_is_an_interrupt() -> None:
+    class Stopped(ZeroPolicy):
+        """Acts as a kernel of numba does that another calls while Ctrl-C comes."""
+
+        reason: BaseException
+
+        def act(self, obs: Any, info: Mapping[str, Any]) -> np.ndarray:
+            try:
+                try:
+                    raise self.reason
+                except BaseException as error:
+                    raise SystemError("inner") from error
+            except SystemError as error:
+                raise SystemError("outer") from error
+
+    policy = Stopped()
+    for policy.reason, seen in (
+        (KeyboardInterrupt(), KeyboardInterrupt),
+        (ValueError(), SystemError),
+    ):
+        log = Log()
+        with pytest.raises(seen):
+            rollout(FakeEnv(1), policy, range(1), seed=0, sinks=[log])
+        assert log.closed == 1
+
+
 @pytest.mark.parametrize("episodes", [[1, -2], [1, 1]])
 def test_bad_indices_are_refused(episodes: list[int]) -> None:
     with refused("episode indices"):

@@ -17,6 +17,7 @@ from gymnasium.vector import AutoresetMode
 from mjhab.core.action_notes import ActionNotes
 from mjhab.core.arithmetic.sums import ordered_sum
 from mjhab.core.errors import UsageError, fault, wrong_type, wrong_value
+from mjhab.core.files.interrupts import kernel_interrupts
 from mjhab.core.typed.checks import check
 from mjhab.rollout.indices import IndicesLeft
 from mjhab.rollout.policy import Annotated, Fallible, Policy, RolloutEnv, Styled
@@ -59,9 +60,10 @@ def rollout(
             stack.callback(sink.close)
         for sink in sinks:
             sink.on_begin(env, episodes)
-        run = _Rollout(env, policy, episodes, seed, sinks, max_steps)
-        while run.active.any():
-            run.step()
+        with kernel_interrupts():
+            run = _Rollout(env, policy, episodes, seed, sinks, max_steps)
+            while run.active.any():
+                run.step()
         return sorted(run.records, key=lambda record: record.index)
 
 

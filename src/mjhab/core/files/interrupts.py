@@ -70,3 +70,21 @@ def held_interrupts() -> Iterator[None]:
             signal.signal(number, handler)
     for number, _ in came[:1]:
         signal.raise_signal(number)
+
+
+@contextmanager
+def kernel_interrupts() -> Iterator[None]:
+    """Within this context Ctrl-C is a KeyboardInterrupt also where it comes while a compiled kernel runs.
+
+    numba then makes a SystemError of it, several where kernels call kernels, and nobody takes these for the wish to
+    stop.
+    """
+    try:
+        yield
+    except SystemError as error:
+        first: BaseException | None = error
+        while isinstance(first, SystemError):
+            first = first.__cause__
+        if isinstance(first, KeyboardInterrupt):
+            raise KeyboardInterrupt from error
+        raise

@@ -11,8 +11,10 @@ from mjhab.cli.output import Listing, report
 from mjhab.cli.policies.evaluate import ProgressSink
 from mjhab.core.files.interrupts import sigterm_interrupts
 from mjhab.paper.reproduce.make import reproduce
-from mjhab.paper.reproduce.results import REPORT, TITLES, cells, titles
+from mjhab.paper.reproduce.means import means
+from mjhab.paper.reproduce.results import REPORT, TITLES, all_cells, titles
 from mjhab.paper.reproduce.spec import TableSpec
+from mjhab.scenes.packs import stage_of
 
 
 def run_reproduce(spec: TableSpec, json: bool) -> int:
@@ -35,5 +37,8 @@ def tell(
         stopped(f"finished parts are kept in {spec.out}")
     page = spec.out / REPORT
     title = f"{TITLES[spec.what]}, {spec.column}, split {spec.asked.split}"
-    table = Listing(title, titles(), [cells(result) for result in results])
-    report(json, {"rows": list(results), "report": str(page)}, table, f"report: {page}")
+    table = Listing(title, titles(), all_cells(results))
+    stage = stage_of(spec.asked.assets)
+    facts = {"rows": list(results), "means": means(results), **stage, "report": str(page)}
+    told = f"stage: {stage['stage']}" if stage else None
+    report(json, facts, table, told, f"report: {page}")

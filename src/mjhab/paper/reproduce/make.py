@@ -334,6 +334,7 @@ def _training_options(
     """Options that all trainings of a reproduction have in common."""
     return {
         "out": run,
+        "set": spec.set,
         "env": env_of(spec, row, target or FOR_ALL),
         "budget_minutes": spec.budget_minutes,
         "eval_episodes": 0,

@@ -11,6 +11,7 @@ from mjhab.core.arithmetic.sums import ordered_sum
 from mjhab.core.files.reading import read_json_object
 from mjhab.core.files.run_folder import write_text
 from mjhab.data.store.episode_data import last_label
+from mjhab.paper.reproduce.means import means
 from mjhab.paper.reproduce.rows import RL_ALL, RL_PER, TableRow, table_rows
 from mjhab.paper.reproduce.variants import (
     AS_PUBLISHED,
@@ -32,6 +33,8 @@ from mjhab.reports.pages import Section, render_sections
 from mjhab.reports.paper import ABLATIONS, SUCCESS_COLUMNS, paper_row, paper_success
 from mjhab.reports.plots import Figure
 from mjhab.rollout.store import read_records
+from mjhab.scenes.pack_source import pack_request
+from mjhab.scenes.packs import stage_of
 
 RESULTS = "results.json"
 REPORT = "report.html"
@@ -134,10 +137,35 @@ def write_results(out: Path, rows: Sequence[TableRow]) -> list[dict[str, Any]]:
                 for variant in VARIANTS[config["what"]]
                 if variant.name in by_variant
             ]
-    content = {"what": config["what"], "column": config["column"], "rows": found}
+    content = {
+        "what": config["what"],
+        "column": config["column"],
+        **homes_of(config),
+        "rows": found,
+        "means": means(found),
+    }
     write_text(out / RESULTS, json.dumps(content, indent=1) + "\n")
     write_text(out / REPORT, page(found, config))
     return found
+
+
+def homes_of(config: Mapping[str, Any]) -> dict[str, Any]:
+    """The homes of a reproduction: {"assets"}, and the "stage" if they are scenes with stages."""
+    return {"assets": config["assets"], **stage_of(config["assets"])}
+
+
+def mean_cells(found: Mapping[str, Any]) -> tuple[Any, ...]:
+    """Cells of a mean, in the order of ``titles``."""
+    ours = round(100 * found["success_once"], 1)
+    empty = [""] * (len(COLUMN_TITLES) - 3)
+    paper = [found["paper"].get(name) for name in PAPER_TITLES]
+    theirs = ["" if rate is None else round(rate, 1) for rate in paper]
+    return (f"mean of {found['rows']} rows", found["rules"], ours, *empty, *theirs, "")
+
+
+def all_cells(results: Sequence[Mapping[str, Any]]) -> list[tuple[Any, ...]]:
+    """Rows of the table, and their means."""
+    return [*map(cells, results), *map(mean_cells, means(results))]
 
 
 def result_of(
@@ -266,14 +294,18 @@ def page(results: Sequence[Mapping[str, Any]], config: Mapping[str, Any]) -> str
         if rule.name in shown
     )
     what = _WHAT[config["what"] in (*STUDIES, *REWARDED)]
+    homes = homes_of(config)
+    place = Path(pack_request(homes["assets"]).place).name
+    stage = f" (stage: {homes['stage']})" if "stage" in homes else ""
+    changes = ", ".join([config["preset"], *config.get("set", ())])
     hint = (
-        f"Success-once rates of our policies in column {config['column']} (preset {config['preset']}) in homes of "
-        f"split {config['split']}. {what}: {rules}. Policies are trained under the rules of Table 1. "
-        "The paper's policies were evaluated in ReplicaCAD homes, about 1,000 episodes each (MS-HAB, ICLR "
+        f"Success-once rates of our policies in column {config['column']} (preset {changes}) in homes of "
+        f"split {config['split']} of {place}{stage}. {what}: {rules}. Policies are trained under the rules of "
+        "Table 1. The paper's policies were evaluated in ReplicaCAD homes, about 1,000 episodes each (MS-HAB, ICLR "
         "2025, Tables 1 and 5)."
     )
     columns = [(name, "") for name in titles()[:-1]] + [(titles()[-1], "words")]
-    table = Section("Success", hint, columns=columns, rows=[cells(r) for r in results])
+    table = Section("Success", hint, columns=columns, rows=all_cells(results))
     sections = [table]
     if config["what"] in REWARDED:
         sections += _how_they_learned(results, config["split"])

@@ -15,6 +15,7 @@ from mjhab.core.errors import fault, unknown_name, wrong_value
 from mjhab.core.typed.bounds import Bound, Output, Positive
 from mjhab.core.typed.flags import Flag
 from mjhab.core.typed.options import taken
+from mjhab.learning.changes import with_changes
 from mjhab.learning.configs import BC, preset_of
 from mjhab.paper.reproduce.rows import (
     POLICY_COLUMNS,
@@ -99,6 +100,11 @@ class TableSpec(EnvSpec):
     paper."""
     preset: Annotated[str, Flag(shown="default: small, or fast")] = ""
     """Preset of `mjhab train dagger` (small if absent), or of ppo and sac (fast if absent)."""
+    set: Annotated[
+        tuple[str, ...], Flag(metavar="NAME=VALUE ...", shown="default: none")
+    ] = ()
+    """Change fields of the preset, as in `mjhab train`, e.g. inputs.target_in_hand=true. The studies of imitation have
+    --variants for that."""
     policies: Annotated[Path | None, Flag(metavar="FOLDER", shown="default: none")] = None
     """Evaluate the policies of this earlier --out instead of training; it must have those of all requested rows."""
     budget_minutes: Annotated[float, Flag(metavar="MINUTES")] = 0.0
@@ -249,6 +255,10 @@ def chosen_rows(spec: TableSpec) -> list[TableRow]:
                 getattr(spec, name),
                 f"left out with {spec.what}; it is for {', '.join(STUDIES)}",
             )
+    if spec.set and spec.what in STUDIES:
+        raise UsageError(
+            f"the variants of {spec.what} say what of the preset is changed: leave out --set."
+        )
     if "robot" in spec.env:
         # The files of a robot may not be installed.
         _ = robot_named(spec.asked.robot).body
@@ -265,7 +275,7 @@ def chosen_rows(spec: TableSpec) -> list[TableRow]:
 
 
 def _check_preset(spec: TableSpec, row: TableRow) -> None:
-    """Refuse a preset that the algorithm of a row does not have."""
+    """Refuse a preset that the algorithm of a row does not have, and changes that it cannot have."""
     if spec.what in STUDIES:
         preset_of(BC, spec.preset_name)
         return
@@ -276,12 +286,13 @@ def _check_preset(spec: TableSpec, row: TableRow) -> None:
             way.algorithm or algorithm_of(row, way.column) for way in ways if way
         }
     elif spec.column == STUDENTS:
-        preset_of(algorithm_of(row, spec.column), spec.preset_name)
+        chosen = preset_of(algorithm_of(row, spec.column), spec.preset_name)
+        with_changes(chosen, spec.set)
         return
     from mjhab.learning.reinforcement.configs import reinforcement_preset
 
     for algorithm in algorithms:
-        reinforcement_preset(algorithm, spec.preset_name)
+        with_changes(reinforcement_preset(algorithm, spec.preset_name), spec.set)
 
 
 def table_config(spec: TableSpec) -> dict[str, Any]:
@@ -297,9 +308,11 @@ def table_config(spec: TableSpec) -> dict[str, Any]:
         "backend": spec.asked.backend,
     }
     policies = {} if spec.policies is None else {"policies": str(spec.policies)}
-    given = {
+    given: dict[str, Any] = {
         name: getattr(spec, name) for name in ("demos", "updates") if getattr(spec, name)
     }
+    if spec.set:
+        given["set"] = list(spec.set)
     return {
         **shown,
         **given,

@@ -203,6 +203,8 @@ def test_a_study_trains_one_policy_for_each_of_its_variants(
     filters = ("reproduce", "filters", "--out", tmp_path / "f")
     with refused("column", "rl_all", expected="left out with filters"):
         command(*filters, "--column", "rl_all")
+    with refused("set", ("chunk=4",), expected="left out with filters"):
+        command(*filters, "--set", "chunk=4")
     with refused(where="filters", said="leave out --policies"):
         command(*filters, "--policies", out)
 

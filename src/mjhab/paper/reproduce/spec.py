@@ -256,8 +256,10 @@ def chosen_rows(spec: TableSpec) -> list[TableRow]:
                 f"left out with {spec.what}; it is for {', '.join(STUDIES)}",
             )
     if spec.set and spec.what in STUDIES:
-        raise UsageError(
-            f"the variants of {spec.what} say what of the preset is changed: leave out --set."
+        raise wrong_value(
+            "set",
+            spec.set,
+            f"left out with {spec.what}, whose variants say what of the preset is changed",
         )
     if "robot" in spec.env:
         # The files of a robot may not be installed.

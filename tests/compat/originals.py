@@ -1,7 +1,7 @@
 """Runs MS-HAB's own scripts, unchanged, with short runs on the CPU: ``make test-mshab MSHAB=/path/to/checkout``.
 
 Only counts, paths and the device differ from the configuration files. The two data generators have their counts as
-constants of the module, which are set from outside. What is printed at the end, a line of JSON per script, says
+constants of the module, which ``--set`` gives other values. What is printed at the end, a line of JSON per script, says
 which script ran with which arguments, its exit status and its time. The interpreter needs what the scripts import
 besides: omegaconf, dacite, wandb, tensorboardX, diffusers.
 """
@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import os
 import shlex
 import shutil
@@ -17,22 +18,39 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import Any
+
+import gymnasium
+import torch
+
+import mjhab.compat.mshab  # noqa: F401 - makes the ids known
+from mjhab.compat.mshab.files.plans import plan_data_from_file, write_plan_data
 
 TASK = "set_table"
 EPISODES = 4
 STEPS = 8
 """Control steps of an episode."""
-GENERATE = """
-import sys
-from pathlib import Path
-from mjhab.compat.mshab.running.script import prepare
-prepare(Path.cwd(), Path(sys.argv[1]))
-import mshab.utils.gen.{module} as script
-script.NUM_ENVS = script.MAX_TRAJECTORIES = int(sys.argv[2])
-{constants}
-script.eval({arguments})
-"""
-"""A data generator with its constants set."""
+CHAINS = "tidy_house"
+"""Task of the generator of whole tasks: its first drive leads to an object, not to a piece of furniture."""
+TIDIED = (
+    "002_master_chef_can",
+    "003_cracker_box",
+    "004_sugar_box",
+    "005_tomato_soup_can",
+    "007_tuna_fish_can",
+    "008_pudding_box",
+    "009_gelatin_box",
+    "010_potted_meat_can",
+    "024_bowl",
+)
+"""Objects of which it loads a policy each."""
+CANDIDATES = 16
+"""Episodes among which one is looked for whose first drive a robot finishes that turns on its spot."""
+TURN = 12
+"""Number of the action that turns the base."""
+SPEED = -0.2
+TURNING_STEPS = 250
+ALL_LABELS = {kind: None for kind in ("pick", "place", "navigate", "open", "close")}
 
 
 class Runs:
@@ -142,17 +160,69 @@ class Runs:
                 shutil.copy(made / "config.yml", place / "config.yml")
 
     def generate(self) -> None:
-        """Both data generators; the first makes the data for imitation, with labels of all kinds."""
-        one = GENERATE.format(
-            module="gen_data",
-            constants="for kind in script.SUBTASK_TO_EPISODE_LABELS: script.SUBTASK_TO_EPISODE_LABELS[kind] = None",
-            arguments=f"task={TASK!r}, subtask='pick', obj_name='024_bowl'",
+        """The generator of single subtasks makes the data for imitation, with labels of all kinds."""
+        done = self.generator(
+            "gen_data",
+            {"SUBTASK_TO_EPISODE_LABELS": ALL_LABELS},
+            TASK,
+            "pick",
+            "024_bowl",
         )
-        if self.run("gen_data", "-c", one, self.checkout, "2"):
+        if done:
             found = next((self.out / "mshab_exps").rglob("024_bowl/*.h5"))
             self.demos.mkdir(parents=True, exist_ok=True)
             for suffix in (".h5", ".json"):
                 shutil.copy(found.with_suffix(suffix), self.demos / f"024_bowl{suffix}")
+
+    def generator(self, name: str, constants: dict[str, object], *arguments: str) -> bool:
+        """Run a data generator for 2 trajectories of 2 worlds."""
+        counts = {"NUM_ENVS": 2, "MAX_TRAJECTORIES": 2, **constants}
+        given = [
+            part for each in counts.items() for part in ("--set", "{}={!r}".format(*each))
+        ]
+        script = self.checkout / "mshab/utils/gen" / f"{name}.py"
+        return self.run(name, "-m", "mjhab.compat.mshab", *given, script, *arguments)
+
+    def generate_chains(self) -> None:
+        """The generator of whole tasks writes nothing of an episode without a finished subtask.
+
+        So its policy of Navigate turns on its spot, in an episode that begins near the object.
+        """
+        where = ("--task", CHAINS, "--split", "train", "--out", str(self.rearrange))
+        counts = ("--count", str(CANDIDATES), "--subtasks", "sequential", "--overwrite")
+        if not self.run(
+            "plans_chains", "-m", "mjhab", "episodes", "plans", *where, *counts
+        ):
+            return
+        keep_finished(
+            self.rearrange / "task_plans" / CHAINS / "sequential/train/all.json"
+        )
+        made = self.out / "mshab_exps" / "sac-pick"
+        turning = torch.load(made / "models/latest.pt", weights_only=False)
+        last = max(
+            name
+            for name in turning["agent"]
+            if name.startswith("actor.") and name.endswith("bias")
+        )
+        turning["agent"][last.replace("bias", "weight")].zero_()
+        turning["agent"][last].zero_()
+        turning["agent"][last][TURN] = math.atanh(SPEED)
+        kinds = self.data / "mshab_checkpoints" / "rl" / CHAINS
+        for kind in ("pick", "place", "navigate"):
+            names = ("all",) if kind == "navigate" else (*TIDIED, "all")
+            for place in (kinds / kind / name for name in names):
+                place.mkdir(parents=True, exist_ok=True)
+                torch.save(turning, place / "policy.pt")
+                shutil.copy(made / "config.yml", place / "config.yml")
+        if self.generator("gen_data_sequential_task", {}, CHAINS):
+            found = next(
+                (self.out / "mshab_exps").rglob(f"{CHAINS}/sequential/**/*.json")
+            )
+            print(
+                json.dumps(
+                    {"trajectories": len(json.loads(found.read_text())["episodes"])}
+                )
+            )
 
     def imitate(self) -> None:
         """Behaviour cloning and the diffusion policy, from the data generated before."""
@@ -199,9 +269,39 @@ class Runs:
         if (self.out / "mshab_exps/sac-pick/models/latest.pt").is_file():
             self.spread()
             self.generate()
+            self.generate_chains()
             self.imitate()
             self.evaluate()
         return sum(result["rc"] != 0 for result in self.results)
+
+
+def keep_finished(file: Path) -> None:
+    """Leave those plans in a file whose first drive a turning robot finishes."""
+    data = plan_data_from_file(file)
+    env = gymnasium.make(
+        "SequentialTask-v0",
+        num_envs=len(data.plans),
+        obs_mode="state",
+        sim_backend="cpu",
+        task_plans=data.plans,
+        scene_builder_cls=data.dataset,
+        require_build_configs_repeated_equally_across_envs=False,
+    )
+    env.reset(seed=0)
+    worlds: Any = env.unwrapped
+    action = torch.zeros(len(data.plans), 13)
+    action[:, TURN] = SPEED
+    for _ in range(TURNING_STEPS):
+        info = env.step(action)[-1]
+        if info["subtask"].any():
+            break
+    found = [
+        plan for plan, at in zip(worlds.task_plans, info["subtask"], strict=True) if at
+    ]
+    assert found, "no episode begins near its first object"
+    env.close()
+    data.plans = found[:1]
+    write_plan_data(file, data)
 
 
 def main() -> int:

@@ -6,12 +6,19 @@ import json
 import sys
 
 from mjhab.compat.mshab.running.check import ANSWERED, check_script
-from mjhab.compat.mshab.running.script import find_script, run_module, run_script
+from mjhab.compat.mshab.running.script import (
+    find_script,
+    read_constant,
+    run_module,
+    run_script,
+)
 from mjhab.core.errors import UsageError
 
-USAGE = """usage: python -m mjhab.compat.mshab SCRIPT.py ARGS...
-       python -m mjhab.compat.mshab -m MODULE ARGS...
-       python -m mjhab.compat.mshab --check SCRIPT.py [--json]"""
+USAGE = """usage: python -m mjhab.compat.mshab [--set NAME=VALUE ...] SCRIPT.py ARGS...
+       python -m mjhab.compat.mshab [--set NAME=VALUE ...] -m MODULE ARGS...
+       python -m mjhab.compat.mshab --check SCRIPT.py [--json]
+
+--set gives a constant of the script, such as NUM_ENVS of the data generators, another value."""
 
 
 def main(arguments: list[str]) -> int:
@@ -21,14 +28,19 @@ def main(arguments: list[str]) -> int:
         return 0 if arguments else 2
     if arguments[0] == "--check":
         return _check(arguments[1:])
+    constants = {}
+    while arguments[:1] == ["--set"]:
+        name, value = read_constant((arguments[1:2] or [""])[0])
+        constants[name] = value
+        arguments = arguments[2:]
+    if not arguments or arguments == ["-m"]:
+        raise UsageError(f"there is no script to run.\n{USAGE}")
     if arguments[0] == "-m":
-        if len(arguments) < 2:
-            raise UsageError(f"-m needs the name of a module.\n{USAGE}")
-        run_module(arguments[1], arguments[2:])
+        run_module(arguments[1], arguments[2:], constants)
         return 0
     if arguments[0].startswith("-"):
         raise UsageError(f"unknown option {arguments[0]}.\n{USAGE}")
-    run_script(find_script(arguments[0]), arguments[1:])
+    run_script(find_script(arguments[0]), arguments[1:], constants)
     return 0
 
 

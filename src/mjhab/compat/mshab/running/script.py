@@ -2,21 +2,31 @@
 
 from __future__ import annotations
 
+import ast
 import importlib.util
-import runpy
 import sys
 import traceback
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from types import ModuleType
+from typing import Any
 
 from mjhab.compat.mshab.running.habits import keep_old_habits, stay_on_the_cpu
 from mjhab.compat.mshab.running.hook import install
 from mjhab.compat.mshab.running.table import FOREIGN
-from mjhab.core.errors import UsageError, fault, warn_once
+from mjhab.core.errors import (
+    UsageError,
+    about,
+    fault,
+    unknown_name,
+    warn_once,
+    wrong_value,
+)
 
 PACKAGE = "mshab"
 """Name of the folder with MS-HAB's own package."""
+_NO_CONSTANTS: Mapping[str, Any] = {}
 
 
 def find_script(name: str) -> Path:
@@ -42,37 +52,105 @@ def checkout_of(script: Path) -> Path | None:
     return None
 
 
-def run_script(script: Path, arguments: Sequence[str]) -> None:
-    """Run a file as ``__main__``.
+def read_constant(text: str) -> tuple[str, Any]:
+    """``NAME=VALUE`` of a command line, the value as Python writes it.
 
     Raises:
-        UsageError: it imports what is not answered.
+        UsageError: it is none.
+    """
+    name, mark, value = text.partition("=")
+    try:
+        if not (mark and name.isidentifier()):
+            raise ValueError("no name")
+        return name, ast.literal_eval(value)
+    except (ValueError, SyntaxError) as error:
+        raise wrong_value(
+            "--set", text, "NAME=VALUE, the value as Python writes it, such as NUM_ENVS=4"
+        ) from error
+
+
+def run_script(
+    script: Path, arguments: Sequence[str], constants: Mapping[str, Any] = _NO_CONSTANTS
+) -> None:
+    """Run a file as ``__main__``.
+
+    Args:
+        script: the file.
+        arguments: its command line.
+        constants: values for names that the file itself gives a value to, at its outermost level.
+
+    Raises:
+        UsageError: the file is no Python, gives no value to one of the names, or imports what is not answered.
     """
     prepare(script.resolve().parent, checkout_of(script))
     sys.argv = [str(script), *arguments]
-    with _imports_told():
-        runpy.run_path(str(script), run_name="__main__")
+    _run(script, ModuleType("__main__"), constants)
 
 
-def run_module(name: str, arguments: Sequence[str]) -> None:
+def run_module(
+    name: str, arguments: Sequence[str], constants: Mapping[str, Any] = _NO_CONSTANTS
+) -> None:
     """Run a module, such as ``mshab.train_sac``, as ``__main__``; it is looked for in the present folder, too.
 
     Raises:
-        UsageError: there is no such module, or it imports what is not answered.
+        UsageError: there is no such module, or see `run_script`.
     """
     prepare(Path.cwd(), None)
     try:
-        found = importlib.util.find_spec(name)
+        spec = importlib.util.find_spec(name)
+        if spec is not None and spec.submodule_search_locations is not None:
+            spec = importlib.util.find_spec(f"{name}.__main__")
     except ModuleNotFoundError:
-        found = None
-    if found is None:
+        spec = None
+    if spec is None or not spec.has_location or spec.origin is None:
         raise fault(
             name,
             "no such module. Begin in the folder that holds its package, such as a checkout of MS-HAB.",
         )
-    sys.argv = [name, *arguments]
-    with _imports_told():
-        runpy.run_module(name, run_name="__main__", alter_sys=True)
+    sys.argv = [spec.origin, *arguments]
+    module = ModuleType("__main__")
+    module.__package__ = spec.parent
+    # Processes that a script starts find it by this name again.
+    module.__spec__ = spec
+    _run(Path(spec.origin), module, constants)
+
+
+def _run(path: Path, module: ModuleType, constants: Mapping[str, Any]) -> None:
+    """Run a file in a module that takes the place of ours as ``__main__``."""
+    with about(path, (SyntaxError, ValueError)):
+        tree = ast.parse(path.read_bytes(), str(path))
+    _give(tree, path, constants)
+    module.__file__ = str(path)
+    before = sys.modules["__main__"]
+    sys.modules["__main__"] = module
+    try:
+        with _imports_told():
+            exec(compile(tree, str(path), "exec"), vars(module))
+    finally:
+        sys.modules["__main__"] = before
+
+
+def _give(tree: ast.Module, path: Path, constants: Mapping[str, Any]) -> None:
+    """Put other values into the assignments of names."""
+    found: dict[str, ast.Assign | ast.AnnAssign] = {}
+    for node in tree.body:
+        targets = (
+            node.targets
+            if isinstance(node, ast.Assign)
+            else [node.target]
+            if isinstance(node, ast.AnnAssign) and node.value is not None
+            else []
+        )
+        if isinstance(node, ast.Assign | ast.AnnAssign) and len(targets) == 1:
+            target = targets[0]
+            if isinstance(target, ast.Name):
+                found[target.id] = node
+    for name, value in constants.items():
+        if name not in found:
+            raise unknown_name(f"constant of {path.name}", name, found)
+        given = ast.parse(repr(value), mode="eval").body
+        found[name].value = ast.copy_location(given, found[name])
+    ast.fix_missing_locations(tree)
 
 
 @contextmanager

@@ -246,6 +246,10 @@ class RecordEpisode(ForwardingWrapper):
     def _save(
         self, file: TrajectoryFile, world: int, steps: list[dict[str, Any]]
     ) -> None:
+        kept = self._kept(steps, world)
+        if kept == 0 and len(steps) > 1:
+            return
+        steps = steps[: 1 + kept]
         arrays = _stacked(steps, world, self._parts)
         actions = self.base_env.single_action_space.shape
         # Without a step nothing tells how wide an action is.
@@ -254,6 +258,10 @@ class RecordEpisode(ForwardingWrapper):
         about = described_episode(self.base_env, world, arrays, labelled)
         if self._is_wanted(arrays, about):
             file.add(arrays, about, with_info=self.WRITES_INFO)
+
+    def _kept(self, steps: list[dict[str, Any]], world: int) -> int:
+        """Control steps of a world's episode that are written; ``steps`` has a row more, the start."""
+        return len(steps) - 1
 
     def _is_wanted(self, arrays: Mapping[str, Any], about: Mapping[str, Any]) -> bool:
         """Whether an episode is written; ``arrays`` and ``about`` as in `TrajectoryFile.add`."""
@@ -316,7 +324,7 @@ def _merged(last: Any, first: Any, begun: np.ndarray) -> Any:
 def _stacked(
     steps: list[dict[str, Any]], world: int, parts: Mapping[str, bool]
 ) -> dict[str, Any]:
-    """One world's episode: "obs", "info" and "state" with T+1 rows, the others with T."""
+    """One world's episode: "obs", "told" (`info` from the start on) and "state" with T+1 rows, the others with T."""
     after = steps[1:]
     names = [
         "action",
@@ -331,6 +339,9 @@ def _stacked(
     # A reset may tell less than a step does.
     told = _stacked_tree([step["info"] for step in after or steps], world)
     made["info"] = told if after else mapped(lambda rows: rows[:0], told)
+    common = [name for name in steps[0]["info"] if name in steps[-1]["info"]]
+    rows = [{name: step["info"][name] for name in common} for step in steps]
+    made["told"] = _stacked_tree(rows, world)
     if parts["state"]:
         made["state"] = _stacked_tree([step["state"] for step in steps], world)
     return made

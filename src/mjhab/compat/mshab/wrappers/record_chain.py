@@ -1,12 +1,16 @@
-"""Trajectories of whole tasks."""
+"""Trajectories of whole tasks.
+
+As there, an episode that does not succeed is written up to the control step before that in which the last of its
+finished subtasks was done, and not at all if none was.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, ClassVar
 
 import gymnasium
+import numpy as np
 
 from mjhab.compat.mshab.wrappers.record import RecordEpisode
 from mjhab.core.errors import fault, missing_field, unknown_name
@@ -49,9 +53,12 @@ class RecordEpisodeSequentialTask(RecordEpisode):
         self.demo_filter = demo_filter
         self.min_success_subtasks = min_success_subtasks
 
-    def _is_wanted(self, arrays: Mapping[str, Any], about: Mapping[str, Any]) -> bool:
-        if self.demo_filter == "success":
-            return bool(about["success_once"])
-        if self.demo_filter == "any":
-            return True
-        return int(arrays["info"]["subtask"].max()) >= (self.min_success_subtasks or 0)
+    def _kept(self, steps: list[dict[str, Any]], world: int) -> int:
+        after = [step["info"] for step in steps[1:]]
+        if any(info["success"][world] for info in after):
+            return len(after)
+        finished = [int(info["subtask"][world]) for info in after]
+        least = {"any": 0, "success": len(self.base_env.task_plan)}
+        if max(finished) < least.get(self.demo_filter, self.min_success_subtasks or 0):
+            return 0
+        return int(np.argmax(finished))

@@ -63,10 +63,10 @@ class TrajectoryFile:
         """Append a trajectory.
 
         Args:
-            arrays: "obs" and perhaps "state" with T+1 rows, in nested dicts; "action", "terminated", "truncated",
-                perhaps "reward", and "info" with T rows.
+            arrays: "obs", "told" and perhaps "state" with T+1 rows, in nested dicts; "action", "terminated",
+                "truncated", perhaps "reward", and "info" with T rows.
             about: its entry in the JSON file.
-            with_info: whether "info" is written, as a group of that name.
+            with_info: whether "told", `info` from the start on, is written as a group "info".
         """
         number = len(self.episodes)
         group = self._file.create_group(f"{TRAJECTORY}{number}", track_order=True)
@@ -77,7 +77,7 @@ class TrajectoryFile:
         for name in ("success", "fail"):
             group[name] = arrays["info"][name].astype(bool)
         if with_info:
-            _put(group, "info", arrays["info"])
+            _put(group, "info", arrays["told"])
         if "state" in arrays:
             _put(group, "env_states", arrays["state"])
         if "reward" in arrays:

@@ -12,7 +12,6 @@ import pytest
 from mjhab.compat.mshab.files.plans import (
     PlanData,
     TaskPlan,
-    dataset_name,
     plan_data_from_file,
     task_of_dataset,
     write_plan_data,
@@ -29,6 +28,7 @@ from mjhab.compat.mshab.files.subtasks import (
     Subtask,
     SubtaskConfig,
 )
+from mjhab.data.imports.ms_hab_layout import dataset_name
 from tests.refusals import refused
 
 SQUARE = [[0.0, 0.0, 1.0], [1.0, 0.0, 1.0], [1.0, 1.0, 1.0], [0.0, 1.0, 1.0]]

@@ -15,7 +15,7 @@ import torch
 import mjhab
 from mjhab.cli.main import main
 from mjhab.compat.mshab.files.making import make_plans
-from mjhab.compat.mshab.files.matching import object_id, object_name
+from mjhab.compat.mshab.files.matching import object_name
 from mjhab.compat.mshab.files.plan_requests import PlanRequest
 from mjhab.compat.mshab.files.plan_starts import PlanStarts, plan_starts
 from mjhab.compat.mshab.files.plans import PlanData, TaskPlan, plan_data_from_file
@@ -26,6 +26,7 @@ from mjhab.compat.mshab.files.spawn_data import (
 )
 from mjhab.compat.mshab.files.subtasks import CloseSubtask, PickSubtask
 from mjhab.config.env import EnvConfig, task_config
+from mjhab.data.imports.ms_hab_layout import object_id
 from mjhab.episodes.source import EpisodeSource, open_setting
 from mjhab.episodes.starts import Start
 from mjhab.sim.mujoco.cpu import CpuSimulator

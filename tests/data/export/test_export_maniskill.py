@@ -12,8 +12,11 @@ import h5py
 import numpy as np
 import pytest
 
+from mjhab.compat.mshab.worlds.arguments import read_arguments
+from mjhab.core.rotations import quat_rotate
 from mjhab.data.export import maniskill
 from mjhab.data.export.conventions import CONVENTIONS
+from mjhab.data.export.maniskill_states import JointNote, Root
 from mjhab.data.imports.ms_hab import import_ms_hab
 from mjhab.data.select.until import Until
 from mjhab.data.store.places import episodes
@@ -71,6 +74,63 @@ def test_layout_and_contents(source: Path, tmp_path: Path) -> None:
         by_id = {each["episode_id"]: each for each in said["episodes"]}
         for number, episode in enumerate(episodes(source / "picks.h5")):
             check(file[f"traj_{number}"], episode, number, by_id[number])
+
+
+def test_states_and_info_are_those_of_maniskill(source: Path, tmp_path: Path) -> None:
+    stand = (1.0, 2.0, 0.5, 1.0, 0.0, 0.0, 0.0)
+    joints = {"drawer3": JointNote(-1.0, 0.0, 0.5)}
+    known = {
+        "kitchen_counter": Root(stand, joints),
+        "fetch": Root((0.0, 0.0, 0.02, 1.0, 0.0, 0.0, 0.0)),
+    }
+    done = to_maniskill(source / "opens.h5", tmp_path / "out", roots=lambda *_: known)
+    episode = next(iter(episodes(source / "opens.h5")))
+    q, v = episode.array("states/qpos"), episode.array("states/qvel")
+    count = episode.steps + 1
+    with h5py.File(done.files[0]) as file:
+        group: Any = file["traj_0"]
+        bowl = group["env_states/actors/024_bowl-0"][()]
+        assert bowl.shape == (count, 13) and bowl.dtype == np.float32
+        np.testing.assert_allclose(bowl[:, :3], q[:, 2:5], rtol=1e-6)
+        np.testing.assert_allclose(bowl[:, 7:10], v[:, 2:5], rtol=1e-6)
+        world = quat_rotate(q[:, 5:9], v[:, 5:8])
+        np.testing.assert_allclose(bowl[:, 10:], world, rtol=1e-5, atol=1e-6)
+        counter = group["env_states/articulations/kitchen_counter-0"][()]
+        assert counter.shape == (count, 15)
+        np.testing.assert_array_equal(counter[:, :7], np.tile(stand, (count, 1)))
+        assert not counter[:, 7:13].any()
+        # The bowl is a free body before it, with a number more in qpos than in qvel.
+        np.testing.assert_allclose(counter[:, 13], -q[:, 9], rtol=1e-6)
+        np.testing.assert_allclose(counter[:, 14], -v[:, 8], rtol=1e-6)
+        assert group["env_states/articulations/fetch"].shape == (count, 13 + 2 * 3)
+        told = {name: values[()] for name, values in group["info"].items()}
+    assert {len(values) for values in told.values()} == {count}
+    checks = episode.table("signals/checks")
+    for name, ours in (("articulation_open", "opened"), ("is_grasped", "is_grasped")):
+        np.testing.assert_array_equal(told[name], checks[ours].astype(bool))
+    forces = episode.table("signals/forces")
+    np.testing.assert_allclose(told["robot_force"], forces["robot_force"], rtol=1e-6)
+    np.testing.assert_allclose(told["handle_active_joint_qpos"], -q[:, 9], rtol=1e-6)
+    assert set(told["handle_active_joint_qmin"]) == {-0.5}
+    assert set(told["handle_active_joint_qmax"]) == {0.0}
+    assert set(told["subtask_type"]) <= {3, 100}
+    np.testing.assert_array_equal(
+        told["success"][1:], episode.array("reward/success").astype(bool)
+    )
+
+
+def test_arguments_of_the_environment_are_those_of_ms_hab(
+    source: Path, tmp_path: Path
+) -> None:
+    done = to_maniskill(source, tmp_path / "out")
+    for path in done.files:
+        made = json.loads(path.with_suffix(".json").read_text())["env_info"]
+        subtask = "" if "Sequential" in made["env_id"] else path.parent.name
+        asked = read_arguments(subtask, made["env_kwargs"])
+        assert asked.num_envs == 1 and asked.tells_events
+        assert asked.scene_builder_cls == "ReplicaCADSetTableVal"
+        pictures = path.parent.name == "pick"
+        assert asked.obs_mode == ("rgb+depth" if pictures else "state")
 
 
 def test_turns_of_the_hand_are_those_of_maniskills_mode() -> None:

@@ -3,7 +3,8 @@
 The files are ``<out>/<task>/<subtask>/<target>.h5`` with a ``.json`` each, as mshab/envs/wrappers/record.py writes
 them. MS-HAB's scripts concatenate the members of ``obs/agent`` and then ``obs/extra`` in the order of the HDF5 groups,
 so these keep the order of mjhab's ``obs/state``. They train on ``actions``, the executed actions. ``actions_intended``
-and ``actor`` (an index into "actors" of the ``.json``) are additional datasets. The pose of the object is in the axes
+and ``actor`` (an index into "actors" of the ``.json``) are additional datasets, ``env_states`` and ``info`` those of
+`maniskill_states`. The pose of the object is in the axes
 of its scan ("object_axes" of the ``.json``: "scan"), except for runs of older versions, which lack them ("object").
 The ``.json`` lists successful episodes first; "episode_id" is the number of the trajectory.
 """
@@ -12,7 +13,7 @@ from __future__ import annotations
 
 import json
 from collections import defaultdict
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -26,26 +27,24 @@ from mjhab.core.conventions.hand_turns import (
     TURN_COLUMNS,
     turns_for_maniskill,
 )
-from mjhab.core.conventions.names import OBJECT_AXES, SCAN_AXES
+from mjhab.core.conventions.names import OBJECT_AXES
 from mjhab.core.errors import UsageError
 from mjhab.core.files.reading import read_json_object
 from mjhab.core.names import below
-from mjhab.data.export.conventions import CONVENTIONS
+from mjhab.data.export.maniskill_json import control_mode, episode_info, file_info
+from mjhab.data.export.maniskill_states import Roots, env_states, infos, no_roots
 from mjhab.data.export.request import ExportRequest
 from mjhab.data.export.staging import ExportTarget, whole_folder
 from mjhab.data.imports.ms_hab_layout import (
     SOURCE_TYPE,
     TRAJECTORY,
     TRUTHS,
-    to_events,
-    to_verbose,
 )
-from mjhab.data.select.describing import navigates_by_teleport, teleported_steps
+from mjhab.data.select.describing import teleported_steps
 from mjhab.data.select.facts import target_of
 from mjhab.data.select.sets import check_outside, nothing_passes, select
 from mjhab.data.select.until import Until
 from mjhab.data.store.damage import refuse_damage
-from mjhab.data.store.episode_data import last_label
 from mjhab.data.store.hdf5 import drop_unfinished, new_file
 from mjhab.data.store.hdf5 import group as subgroup
 from mjhab.data.store.older.schemas import OBJECT_POSE
@@ -75,6 +74,7 @@ def write_maniskill(
     *,
     until: Until | None = None,
     begin: Callable[[int], Callable[[], object]] | None = None,
+    roots: Roots = no_roots,
 ) -> ManiSkillSet:
     """Write the episodes that pass the filter as trajectory files, atomically in one folder.
 
@@ -83,6 +83,7 @@ def write_maniskill(
             per subtask, see `query.PRESETS`.
         until: end of the exported part of each episode; None exports whole episodes.
         begin: called with the number of episodes; returns a function that is called after each episode.
+        roots: where robot and furniture stand.
 
     Raises:
         UsageError, StorageError: no episode passes; the folder lies in a source; see ``whole_folder``.
@@ -102,7 +103,7 @@ def write_maniskill(
     frames = without = 0
     with whole_folder(target, job) as staging:
         for place, members in files.items():
-            file = _File(below(staging.root, place), until)
+            file = _File(below(staging.root, place), until, roots)
             file.write(members, after)
             frames += file.frames
             without += file.without_depth
@@ -144,9 +145,10 @@ def _is_exported(path: Path) -> bool:
 class _File:
     """A trajectory file; one that an interrupted export has finished stays as it is."""
 
-    def __init__(self, path: Path, until: Until) -> None:
+    def __init__(self, path: Path, until: Until, roots: Roots) -> None:
         self._path = path
         self._until = until
+        self._roots = roots
         self._episodes: list[dict[str, Any]] = []
         self._runs: dict[str, Any] = {}
         self.frames = self.without_depth = 0
@@ -176,7 +178,12 @@ class _File:
                 if file is not None:
                     group = file.create_group(f"{TRAJECTORY}{number}", track_order=True)
                     _put(group, episode, steps)
-                self._episodes.append(_episode_info(number, episode, steps))
+                    places = self._roots(episode.run, episode.record.home)
+                    states = env_states(episode, steps + 1, places)
+                    _put_tree(group, "env_states", states.items())
+                    told = infos(episode, steps + 1, places)
+                    _put_tree(group, "info", told.items())
+                self._episodes.append(episode_info(number, episode, steps))
                 self._runs.setdefault(episode.run.id, vars(episode.run))
                 self.frames += steps
                 self.without_depth += not any(
@@ -187,26 +194,7 @@ class _File:
 
     def _describe(self) -> None:
         """Write the JSON file with the metadata of the trajectories."""
-        env = next(iter(self._runs.values()))["config"].get("env", {})
-        subtask = env.get("subtask")
-        value = {
-            "env_info": {
-                "env_id": f"{subtask.capitalize()}SubtaskTrain-v0"
-                if subtask
-                else "SequentialTask-v0",
-                "env_kwargs": env,
-                "max_episode_steps": max(
-                    each["elapsed_steps"] for each in self._episodes
-                ),
-            },
-            "commit_info": {"mjhab": [run["commit"] for run in self._runs.values()]},
-            "source_type": SOURCE_TYPE,
-            "source_desc": "recorded by mjhab (MuJoCo), not by ManiSkill",
-            "conventions": CONVENTIONS,
-            "runs": self._runs,
-            # ManiSkillTrajectoryDataset(success_only=True) cannot begin with an episode that it leaves out.
-            "episodes": sorted(self._episodes, key=lambda each: not each["success"]),
-        }
+        value = file_info(self._runs, self._episodes)
         self._path.with_suffix(".json").write_text(
             json.dumps(value, indent=2), encoding="utf-8"
         )
@@ -214,20 +202,7 @@ class _File:
 
 def _put(group: h5py.Group, episode: RecordedEpisode, steps: int) -> None:
     """Fill the group of a trajectory with the first ``steps`` control steps of an episode."""
-    obs = group.create_group("obs", track_order=True)
-    for key, values in _observations(episode, steps + 1):
-        *folders, last = key.split("/")
-        parent = obs
-        for folder in folders:
-            if folder not in parent:
-                parent.create_group(folder, track_order=True)
-            parent = subgroup(parent, folder)
-        squeeze = (
-            {"compression": "gzip", "compression_opts": _GZIP}
-            if folders[:1] == ["sensor_data"]
-            else {}
-        )
-        parent.create_dataset(last, data=values, **squeeze)
+    _put_tree(group, "obs", _observations(episode, steps + 1))
     ends = np.zeros(steps, bool)
     ends[-1] = True
     terminated = episode.terminated and steps == episode.steps
@@ -244,15 +219,29 @@ def _put(group: h5py.Group, episode: RecordedEpisode, steps: int) -> None:
     group["is_teleported"] = teleported_steps(episode)[:steps]
 
 
-def _control_mode(episode: RecordedEpisode) -> str:
-    """Control mode of the run of an episode."""
-    env = episode.run.config.get("env", {})
-    return env.get("control_mode", "pd_joint_delta_pos")
+def _put_tree(
+    group: h5py.Group, name: str, values: Iterable[tuple[str, np.ndarray]]
+) -> None:
+    """Write arrays by their paths into a group of that name, in order; images are compressed."""
+    top = None
+    for key, array in values:
+        *folders, last = key.split("/")
+        top = parent = top or group.create_group(name, track_order=True)
+        for folder in folders:
+            if folder not in parent:
+                parent.create_group(folder, track_order=True)
+            parent = subgroup(parent, folder)
+        squeeze = (
+            {"compression": "gzip", "compression_opts": _GZIP}
+            if folders[:1] == ["sensor_data"]
+            else {}
+        )
+        parent.create_dataset(last, data=array, **squeeze)
 
 
 def _turned_hand(episode: RecordedEpisode, actions: np.ndarray) -> np.ndarray:
     """Actions (T, A) with which ManiSkill's controller of the same name turns the hand as ours has."""
-    if _control_mode(episode) not in AS_MANISKILL:
+    if control_mode(episode) not in AS_MANISKILL:
         return actions
     turned = actions.astype(np.float64)
     turned[:, TURN_COLUMNS] = turns_for_maniskill(turned[:, TURN_COLUMNS])
@@ -288,68 +277,3 @@ def _yaws_to_turn(episode: RecordedEpisode) -> np.ndarray | None:
     """(N+1,) headings [rad] by which the pose of the object is still to be turned; None if it is not."""
     has_ours = episode.conventions.object_axes == OBJECT_AXES
     return episode.scan_yaws if has_ours else None
-
-
-def _axes_of(episode: RecordedEpisode) -> str:
-    """Axes of the pose of the object in an exported episode."""
-    is_ours = episode.conventions.object_axes == OBJECT_AXES
-    return OBJECT_AXES if is_ours and episode.scan_yaws is None else SCAN_AXES
-
-
-def _episode_info(number: int, episode: RecordedEpisode, steps: int) -> dict[str, Any]:
-    """Metadata of the first ``steps`` control steps of an episode; labels are those of all of it."""
-    record = episode.record
-    events = [event for event in record.events if event[0] <= steps]
-    link = target_of(record).rpartition("/")[0]
-    info = {
-        "episode_id": number,
-        "episode_seed": [record.seed],
-        # Indices into MS-HAB's asset files have no counterpart; home and index identify the episode.
-        **dict.fromkeys(
-            (
-                "build_config_idx",
-                "task_plan_idx",
-                "init_config_idx",
-                "spawn_selection_idx",
-            )
-        ),
-        "home": record.home,
-        "episode_index": record.index,
-        "control_mode": _OF_MANISKILL.get(_control_mode(episode), _control_mode(episode)),
-        "elapsed_steps": steps,
-        "navigation": "teleport" if navigates_by_teleport(episode) else "drive",
-        "actors": list(episode.actors),
-        "lacks": list(episode.lacks),
-        "object_axes": _axes_of(episode),
-        "joint_angles": episode.conventions.joint_angles,
-        "label": last_label(record),
-        "legacy_label": record.subtasks[-1].legacy_label if record.subtasks else None,
-        "target": record.subtasks[-1].target
-        if record.subtasks
-        else record.plan[0].target,
-        "split": record.split,
-        "ending": str(episode.attributes["ending"]),
-        "events": to_events(record.subtask, events)
-        if record.subtask
-        else [name for _, name in events],
-        "events_verbose": to_verbose(events, record.force[:steps]),
-        "articulation_type": link or None,
-        "reset_kwargs": {},
-        "success_once": record.success_once,
-        "success_at_end": record.success_at_end,
-        "fail": record.fail,
-        **(_outcome_at(episode, steps) if steps < episode.steps else {}),
-    }
-    # ManiSkill's readers filter by it: whether the episode is successful in the end.
-    return {**info, "success": info["success_at_end"]}
-
-
-def _outcome_at(episode: RecordedEpisode, steps: int) -> dict[str, Any]:
-    """Outcome of an episode that is cut after ``steps`` control steps."""
-    success = episode.array("reward/success")[:steps].astype(bool)
-    return {
-        "ending": "cut",
-        "success_once": bool(success.any()),
-        "success_at_end": bool(success[-1]),
-        "fail": bool(episode.array("reward/fail")[steps - 1]),
-    }

@@ -62,6 +62,43 @@ _THEIRS = {
 _OURS = {theirs: ours for ours, theirs in _THEIRS.items()}
 
 
+CHECKS = {
+    "is_grasped": "is_grasped",
+    "obj_at_goal": "at_goal",
+    "oriented_correctly": "oriented",
+    "navigated_close": "near",
+    "articulation_open": "opened",
+    "articulation_closed": "closed",
+    "ee_rest": "ee_rest",
+    "robot_rest": "robot_rest",
+    "is_static": "is_static",
+    "cumulative_force_within_limit": "force_ok",
+}
+"""Checks of `info` by their name there: our signal."""
+_SPECIAL = {
+    "place": ("obj_at_goal",),
+    "navigate": ("oriented_correctly", "navigated_close"),
+    "open": ("articulation_open",),
+    "close": ("articulation_closed",),
+}
+_COMMON = ("ee_rest", "robot_rest", "is_static", "cumulative_force_within_limit")
+PAIRWISE = "robot_target_pairwise_force"
+FORCES = {
+    "robot_force": "robot_force",
+    "robot_cumulative_force": "cumulative_force",
+    PAIRWISE: "target_force",
+}
+"""Forces of `info` by their name there: our signal."""
+JOINT = (
+    "handle_active_joint_qpos",
+    "handle_active_joint_qmin",
+    "handle_active_joint_qmax",
+)
+"""Entries of `info` about the joint of an Open or Close: position and range [m or rad]."""
+FINISHED = 100
+"""``subtask_type`` of a world whose plan is finished (mshab/envs/sequential_task.py)."""
+
+
 EPISODE_KEYS = ("episode_id", "elapsed_steps", "label", "events_verbose")
 """Keys that the JSON file must have for every trajectory."""
 _COUNTS = ("episode_id", "elapsed_steps", "episode_index")
@@ -129,6 +166,22 @@ def check_episode(number: int, metadata: Any) -> None:
     for key in ("events_verbose", "actors"):
         if not isinstance(metadata.get(key, []), list):
             raise ValueError(f"episode {number}: {key} must be a list")
+
+
+def checks_of(kind: str) -> tuple[str, ...]:
+    """Names of the checks of a kind of subtask in `info`, in order."""
+    return ("is_grasped", *_SPECIAL.get(kind, ()), *_COMMON)
+
+
+def dataset_name(task: str, split: str) -> str:
+    """Name of the data set of a task and split: ``ReplicaCADSetTableVal``."""
+    return f"ReplicaCAD{task.title().replace('_', '')}{split.capitalize()}"
+
+
+def object_id(name: str) -> str:
+    """Name of an object in task plans: ``024_bowl-0`` for ``024_bowl_:0000``."""
+    kind, _, number = name.partition("_:")
+    return f"{kind}-{int(number or 0)}"
 
 
 def to_events(kind: str, events: Iterable[Event]) -> list[str]:

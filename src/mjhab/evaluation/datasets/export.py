@@ -15,6 +15,7 @@ from mjhab.core.machine import install_extra
 from mjhab.data.export.maniskill import ManiSkillSet, write_maniskill
 from mjhab.data.export.request import ExportRequest
 from mjhab.data.select.until import Until
+from mjhab.evaluation.datasets.roots import roots_of
 from mjhab.evaluation.datasets.specs import (
     ExportSpec,
     LerobotSpec,
@@ -131,7 +132,8 @@ def run_maniskill(spec: ManiskillSpec, begin: Begin | None = None) -> ManiSkillS
     Raises:
         UsageError, StorageError, DamagedError: see `export_maniskill`.
     """
-    return write_maniskill(_request(spec), until=Until.parse(spec.until), begin=begin)
+    until = Until.parse(spec.until)
+    return write_maniskill(_request(spec), until=until, begin=begin, roots=roots_of)
 
 
 def _request(spec: ExportSpec) -> ExportRequest:

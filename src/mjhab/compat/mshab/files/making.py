@@ -25,7 +25,6 @@ from mjhab.compat.mshab.files.matching import SCENE_SUFFIX, subtask_in_files
 from mjhab.compat.mshab.files.plans import (
     PlanData,
     TaskPlan,
-    dataset_name,
     write_plan_data,
 )
 from mjhab.compat.mshab.files.spawn_data import (
@@ -43,6 +42,7 @@ from mjhab.config.env import EnvConfig, task_config
 from mjhab.core.errors import unknown_name
 from mjhab.core.names import kind_of
 from mjhab.core.rotations import pose_mul, quat_from_yaw
+from mjhab.data.imports.ms_hab_layout import dataset_name
 from mjhab.episodes.source import EpisodeSource, open_setting
 from mjhab.episodes.starts import StartMaker
 from mjhab.episodes.zones import receptacle_below, zone

@@ -20,6 +20,7 @@ from mjhab.compat.mshab.files.subtasks import (
 from mjhab.compat.mshab.files.subtasks import Subtask as FileSubtask
 from mjhab.core.errors import wrong_value
 from mjhab.core.names import copy_name
+from mjhab.data.imports.ms_hab_layout import object_id
 from mjhab.episodes.hab.reader import FIXED_LINKS, link_names
 from mjhab.layout.layout import Layout
 from mjhab.scenes.spec import PUBLISHED_POINTS, Vec3
@@ -43,12 +44,6 @@ def object_name(obj_id: str | None) -> str:
     if not dash or not kind or not number.isdecimal():
         raise wrong_value("obj_id", obj_id, "kind and number of an object: '024_bowl-0'")
     return copy_name(kind, int(number))
-
-
-def object_id(name: str) -> str:
-    """Name of an object in task plans; inverse of `object_name`."""
-    kind, _, number = name.partition("_:")
-    return f"{kind}-{int(number or 0)}"
 
 
 def furniture_of(config: ArticulationConfig) -> str:

@@ -12,11 +12,12 @@ from typing import Any
 
 from mjhab.compat.mshab.files.init_configs import read_init_config
 from mjhab.compat.mshab.files.matching import home_of
-from mjhab.compat.mshab.files.plans import TaskPlan, dataset_name, root_above
+from mjhab.compat.mshab.files.plans import TaskPlan, root_above
 from mjhab.compat.mshab.files.spawn_data import Spawns, read_spawn_data
 from mjhab.compat.mshab.paths import REARRANGE, REPLICA_CAD
 from mjhab.core.errors import UsageError, fault, wrong_value
 from mjhab.core.version import __version__
+from mjhab.data.imports.ms_hab_layout import dataset_name
 from mjhab.episodes.hab.format import HabEpisode
 from mjhab.scenes.packs import open_pack
 

@@ -21,6 +21,7 @@ from mjhab.core.errors import (
 from mjhab.core.files.cache import write_atomic
 from mjhab.core.files.reading import parse_json, read_bytes
 from mjhab.core.typed.options import read_record
+from mjhab.data.imports.ms_hab_layout import dataset_name
 from mjhab.tasks.household.registry import TASKS
 
 SPLITS = ("train", "val", "test")
@@ -84,11 +85,6 @@ def write_plan_data(path: Path, data: PlanData) -> None:
     text = json.dumps(dataclasses.asdict(data))
     path.parent.mkdir(parents=True, exist_ok=True)
     write_atomic(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
-
-
-def dataset_name(task: str, split: str) -> str:
-    """Name of the data set of a task and split: ``ReplicaCADSetTableVal``."""
-    return f"ReplicaCAD{task.title().replace('_', '')}{split.capitalize()}"
 
 
 def task_of_dataset(name: str) -> tuple[str, str]:

@@ -9,7 +9,6 @@ import numpy as np
 from mjhab.compat.mshab.files.matching import (
     articulation_of,
     furniture_of,
-    object_id,
     object_name,
 )
 from mjhab.compat.mshab.files.spawn_data import (
@@ -24,6 +23,7 @@ from mjhab.compat.mshab.files.spawn_data import (
 from mjhab.compat.mshab.files.subtasks import Subtask
 from mjhab.core.errors import wrong_value
 from mjhab.core.rotations import pose_inv, pose_mul, quat_from_yaw
+from mjhab.data.imports.ms_hab_layout import object_id
 from mjhab.episodes.episode import Episode
 from mjhab.episodes.starts import StartMaker
 

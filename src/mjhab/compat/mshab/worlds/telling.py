@@ -10,43 +10,16 @@ import torch
 from mjhab.compat.mshab.files.subtasks import SubtaskConfig
 from mjhab.compat.mshab.worlds.observing import as_tensor
 from mjhab.core.arrays import cast, constant, namespace
+from mjhab.data.imports.ms_hab_layout import (
+    CHECKS,
+    FINISHED,
+    JOINT,
+    PAIRWISE,
+    checks_of,
+)
 from mjhab.envs.loop import TaskLoop
 from mjhab.tasks.measure import at_goal
 from mjhab.tasks.signals import Signals
-
-FINISHED = 100
-"""``subtask_type`` of a world whose plan is finished (mshab/envs/sequential_task.py)."""
-OURS = {
-    "is_grasped": "is_grasped",
-    "obj_at_goal": "at_goal",
-    "oriented_correctly": "oriented",
-    "navigated_close": "near",
-    "articulation_open": "opened",
-    "articulation_closed": "closed",
-    "ee_rest": "ee_rest",
-    "robot_rest": "robot_rest",
-    "is_static": "is_static",
-    "cumulative_force_within_limit": "force_ok",
-}
-"""Checks by their name there: our signal."""
-_SPECIAL = {
-    "place": ("obj_at_goal",),
-    "navigate": ("oriented_correctly", "navigated_close"),
-    "open": ("articulation_open",),
-    "close": ("articulation_closed",),
-}
-_COMMON = ("ee_rest", "robot_rest", "is_static", "cumulative_force_within_limit")
-_JOINT = (
-    "handle_active_joint_qpos",
-    "handle_active_joint_qmin",
-    "handle_active_joint_qmax",
-)
-_PAIRWISE = "robot_target_pairwise_force"
-
-
-def checks_of(kind: str) -> tuple[str, ...]:
-    """Names of the checks of a kind of subtask, in order."""
-    return ("is_grasped", *_SPECIAL.get(kind, ()), *_COMMON)
 
 
 class Telling:
@@ -72,7 +45,7 @@ class Telling:
         self._worlds = worlds
         self._kinds = tuple(kinds)
         self._alone = bool(worlds.config.subtask)
-        found = {name: OURS[name] for kind in self._kinds for name in checks_of(kind)}
+        found = {name: CHECKS[name] for kind in self._kinds for name in checks_of(kind)}
         self._checks = found
         jointed = {"open", "close"}.intersection(self._kinds)
         handled = {"pick", "place", *jointed}.intersection(self._kinds)
@@ -122,7 +95,7 @@ class Telling:
         for name, ours in self._checks.items():
             told[name] = getattr(signals, ours)
         if self._pairwise:
-            told[_PAIRWISE] = _single(signals.target_force)
+            told[PAIRWISE] = _single(signals.target_force)
         if self._joint:
             told |= self._joint_entries()
         if self._places and not self._alone:
@@ -136,7 +109,7 @@ class Telling:
         worlds = self._worlds
         low, high = worlds.sensing.joint_range(worlds.focus)
         now = worlds.sensing.joint_now(worlds.state, worlds.focus)
-        return dict(zip(_JOINT, map(_single, (now, low, high)), strict=True))
+        return dict(zip(JOINT, map(_single, (now, low, high)), strict=True))
 
     def _progressive(self, pointer: Any) -> dict[str, Any]:
         """Whether the objects of finished Places are at their goals, an entry for each Place of the plan."""

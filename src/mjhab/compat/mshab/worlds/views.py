@@ -8,13 +8,13 @@ from typing import Any
 
 import torch
 
-from mjhab.compat.mshab.files.matching import object_id
 from mjhab.compat.mshab.worlds.observing import as_tensor
 from mjhab.compat.mshab.worlds.pose import Pose
 from mjhab.core.arrays import namespace
 from mjhab.core.conventions.changes import to_scan_axes
 from mjhab.core.joints import BASE_XY, BASE_YAW
 from mjhab.core.rotations import quat_from_yaw
+from mjhab.data.imports.ms_hab_layout import object_id
 from mjhab.envs.loop import TaskLoop
 
 

@@ -5,7 +5,9 @@ from __future__ import annotations
 import dataclasses
 import json
 import pickle
+import shutil
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -16,6 +18,7 @@ import mjhab
 from mjhab.cli.main import main
 from mjhab.compat.mshab.files.making import make_plans
 from mjhab.compat.mshab.files.matching import object_name
+from mjhab.compat.mshab.files.navigable import FOLDER, read_map
 from mjhab.compat.mshab.files.plan_requests import PlanRequest
 from mjhab.compat.mshab.files.plan_starts import PlanStarts, plan_starts
 from mjhab.compat.mshab.files.plans import PlanData, TaskPlan, plan_data_from_file
@@ -25,6 +28,8 @@ from mjhab.compat.mshab.files.spawn_data import (
     write_spawn_data,
 )
 from mjhab.compat.mshab.files.subtasks import CloseSubtask, PickSubtask
+from mjhab.compat.mshab.worlds import starting
+from mjhab.compat.mshab.worlds.arguments import read_arguments
 from mjhab.config.env import EnvConfig, task_config
 from mjhab.data.imports.ms_hab_layout import object_id
 from mjhab.episodes.source import EpisodeSource, open_setting
@@ -283,6 +288,36 @@ def test_several_spawns_of_a_plan_are_rows_of_their_own(
     np.testing.assert_allclose(np.diff(base), 0.25, atol=FLOAT32)
     with refused("plan and spawn", (1, 1), "6 starts"):
         starts.of(1, 1)
+
+
+def test_navigate_counts_its_way_by_the_maps_of_its_homes(
+    table: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    data = plans_of(table, TABLE, "navigate")
+    given = {
+        "task_plans": data.plans,
+        "scene_builder_cls": data.dataset,
+        "spawn_data_fp": spawns_of(table, TABLE, "navigate"),
+        "require_build_configs_repeated_equally_across_envs": False,
+    }
+    worlds: Any = starting.open_setting(read_arguments("navigate", given)).worlds
+    worlds.reset(options={"episode": [0]})
+    scene = str(data.plans[0].build_config_name)
+    found = read_map(table / FOLDER, scene)
+    assert found is not None
+    at, _ = found.nearest(worlds.state.robot_q[0, :2])
+    goal, apart = found.nearest(worlds.focus.active.goal_pos[0, :2])
+    assert worlds.goal_distance()[0] == pytest.approx(found.ways[at, goal] + apart)
+    worlds.close()
+    starts = plan_starts(request_of(table, TABLE, "navigate"))
+    assert len({plan.build_config_name for plan in starts.plans}) > 1
+    shutil.copytree(table / FOLDER, tmp_path / FOLDER)
+    for path in (tmp_path / FOLDER).glob(f"{scene.removesuffix('.json')}*"):
+        path.unlink()
+    other: Any = SimpleNamespace(num_envs=1, nav="its own")
+    starting.count_ways_by_maps(other, dataclasses.replace(starts, root=tmp_path))
+    assert f"1 of 2 homes have none ({scene})" in caplog.text
+    assert other.nav == "its own"
 
 
 def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

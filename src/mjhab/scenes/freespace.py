@@ -28,6 +28,8 @@ ROBOT_HEIGHT_M = 1.4
 """Geoms entirely above this height [m] do not block the base; the head camera of the benchmark's robot is at 1.41 m."""
 MAX_KEPT_FIELDS = 4
 """Number of distance fields that a map caches; one of an apartment takes about 0.2 MB."""
+_ROWS = 64
+"""Sources whose paths are computed together; a row of a large home has 60,000 numbers."""
 _BORDER_M = 0.3
 """Margin of the raster around the floor [m], so that it includes the outer walls."""
 
@@ -109,6 +111,16 @@ class FreeMap:
                 np.asarray(a, float)[None, :2],
             )[0]
         )
+
+    def ways_between(self, cells: np.ndarray) -> np.ndarray:
+        """Compute the lengths (V, V) float32 [m] of the shortest paths between cells (V, 2) of `navigable`."""
+        graph = self._ways[0]
+        nodes = cells[:, 0] * self.blocked.shape[1] + cells[:, 1]
+        found = [
+            np.asarray(dijkstra(graph, directed=False, indices=part))[:, nodes]
+            for part in np.array_split(nodes, max(1, len(nodes) // _ROWS))
+        ]
+        return np.concatenate(found).astype(np.float32)
 
     def _field(self, goal: np.ndarray) -> np.ndarray:
         graph, nearest, off = self._ways

@@ -7,13 +7,14 @@ Below a folder, which takes the place of ``scene_datasets/replica_cad_dataset/re
 - ``spawn_data/<task>/<subtask>/<split>/spawn_data.pt``: one spawn of every plan
 - ``grasp_poses/<task>/<object>/grasp_poses.pt``: the grasps that Place starts from
 - ``<split>/<task>/episode_<n>.json``: the episodes
+- ``configs/scenes/<scene>.fetch.navigable_positions*``: with plans of Navigate, where the base can stand in their homes
 """
 
 from __future__ import annotations
 
 import dataclasses
 from collections import defaultdict
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,7 +22,12 @@ from pathlib import Path
 import numpy as np
 
 from mjhab.compat.mshab.files.init_configs import init_config_name, write_init_config
-from mjhab.compat.mshab.files.matching import SCENE_SUFFIX, subtask_in_files
+from mjhab.compat.mshab.files.matching import (
+    SCENE_SUFFIX,
+    home_of,
+    subtask_in_files,
+)
+from mjhab.compat.mshab.files.navigable import FOLDER, write_map
 from mjhab.compat.mshab.files.plans import (
     PlanData,
     TaskPlan,
@@ -47,6 +53,7 @@ from mjhab.episodes.source import EpisodeSource, open_setting
 from mjhab.episodes.starts import StartMaker
 from mjhab.episodes.zones import receptacle_below, zone
 from mjhab.layout.receptacles import placed_receptacles
+from mjhab.scenes.freespace import shared_map
 from mjhab.scenes.spec import Home
 from mjhab.sim.mujoco.cpu import CpuSimulator
 from mjhab.tasks.household.registry import TASKS, chain
@@ -61,8 +68,8 @@ SPAWN_FILE = "spawn_data.pt"
 class MadePlans:
     """What was written.
 
-    plans: number of task plans. files: of plans, spawns and grasps. episodes: number of their files. left_out: plans
-    that have no valid spawn, or whose object is too wide for the gripper.
+    plans: number of task plans. files: of plans, spawns, grasps and maps. episodes: number of their files. left_out:
+    plans that have no valid spawn, or whose object is too wide for the gripper.
     """
 
     plans: int
@@ -132,6 +139,8 @@ def make_plans(
         plans += len(parts)
         files.append(factory.write_whole(parts))
     files += factory.write_grasps()
+    if "navigate" in factory.starts:
+        files += factory.write_maps(dict.fromkeys(part.scene for part in parts))
     left_out = sum(part.left_out for part in parts)
     return MadePlans(plans, tuple(files), len(parts), left_out)
 
@@ -263,6 +272,15 @@ class _Factory:
             place = ("grasp_poses", self.config.task, kind, "grasp_poses.pt")
             files.append(self.out.joinpath(*place))
             write_grasp_poses(files[-1], joints, poses)
+        return files
+
+    def write_maps(self, scenes: Iterable[str]) -> list[Path]:
+        """Write the navigable positions of homes."""
+        pack = self.layout.pack
+        files: list[Path] = []
+        for scene in scenes:
+            free = shared_map(pack.homes_by_name[home_of(scene)], pack)
+            files += write_map(self.out / FOLDER, scene, free)
         return files
 
     def _name(self, subtask: Subtask, kind: str, number: int, position: int) -> None:

@@ -85,11 +85,13 @@ class PlanStarts:
         options: options of an environment that begins with them, see `EnvConfig`.
         rows: what every row of the set is; episode i begins with row i.
         plans: the task plans.
+        root: folder of rearrangement data that they belong to.
     """
 
     options: Mapping[str, Any]
     rows: tuple[PlanRow, ...]
     plans: tuple[TaskPlan, ...]
+    root: Path
 
     @cached_property
     def _numbers(self) -> dict[tuple[int, int], int]:
@@ -164,7 +166,8 @@ def plan_starts(request: PlanRequest, threads: int = 0) -> PlanStarts:
     )
     if not out.is_file():
         _write(out, _Maker(request, config, layout, spawns), rows, threads or cores())
-    return PlanStarts({**options, "spawns": str(out)}, rows, tuple(request.plans))
+    options["spawns"] = str(out)
+    return PlanStarts(options, rows, tuple(request.plans), root_of(request))
 
 
 def _note(key: str) -> Path:

@@ -7,9 +7,12 @@ from typing import Any
 
 import torch
 
+from mjhab.compat.mshab.files.matching import home_of
+from mjhab.compat.mshab.files.navigable import FOLDER, MapWays, read_maps
 from mjhab.compat.mshab.files.plan_requests import PlanRequest
 from mjhab.compat.mshab.files.plan_starts import PlanStarts, plan_starts
 from mjhab.compat.mshab.files.plans import task_of_dataset
+from mjhab.compat.mshab.paths import REPLICA_CAD
 from mjhab.compat.mshab.worlds.arguments import OBS_MODES, Arguments
 from mjhab.compat.mshab.worlds.draws import OwnDraw, PlanDraw
 from mjhab.compat.mshab.worlds.limits import ENDLESS, overrides_of
@@ -51,9 +54,33 @@ def open_setting(arguments: Arguments) -> DrawnWorlds:
         # On a device the number of an episode is its place in the pool.
         options["starts"] = sum(map(starts.spawns, range(len(starts.plans))))
     worlds = make(**options)
+    if starts is not None and arguments.subtask == "navigate":
+        count_ways_by_maps(worlds, starts)
     if starts is None:
         return DrawnWorlds(worlds, OwnDraw(arguments.num_envs))
     return DrawnWorlds(worlds, PlanDraw(arguments, starts, home_numbers(starts.plans)))
+
+
+def count_ways_by_maps(worlds: Any, starts: PlanStarts) -> None:
+    """Let Navigate count its way by the maps of its homes, where all of them are there."""
+    homes = {
+        plan.build_config_name or "": home_of(plan.build_config_name)
+        for plan in starts.plans
+    }
+    found = read_maps((starts.root / FOLDER, REPLICA_CAD / FOLDER), list(homes))
+    lacking = [scene for scene in homes if scene not in found]
+    if found and lacking:
+        warn_once(
+            f"navigable positions: {len(lacking)} of {len(homes)} homes have none ({lacking[0]}), so the way to the "
+            "goal is counted on mjhab's own map of the floor in all homes."
+        )
+    elif found and not hasattr(worlds, "nav"):
+        warn_once(
+            "navigable positions are read on the CPU alone: on a device the way to the goal is counted on mjhab's map."
+        )
+    elif found:
+        maps = {home: found[scene] for scene, home in homes.items()}
+        worlds.nav = MapWays(maps, worlds.num_envs)
 
 
 def home_numbers(plans: Any) -> dict[str, int]:

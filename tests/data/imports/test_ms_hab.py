@@ -27,7 +27,7 @@ from mjhab.data.store.places import episodes
 from mjhab.render.film import FilmWriter
 from mjhab.reports.dataset import render_data_report
 from mjhab.rollout.records import PlanEntry
-from tests.data.export.exporting import to_maniskill
+from tests.data.export.exporting import from_nothing, to_maniskill
 from tests.data.fake_world import FakeEnv
 from tests.data.make import record, record_pictures
 from tests.refusals import command, refused
@@ -174,10 +174,10 @@ def test_an_export_comes_back(tmp_path: Path) -> None:
             "success_once",
             "fail",
             "steps",
-            "events",
             "force",
         ):
             assert getattr(now, name) == getattr(was, name), name
+        assert now.events == tuple(from_nothing(old))
         for name in ("kind", "target", "label", "legacy_label", "start_step", "end_step"):
             assert getattr(now.subtasks[0], name) == getattr(was.subtasks[0], name), name
         assert (

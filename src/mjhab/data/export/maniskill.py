@@ -51,6 +51,7 @@ from mjhab.data.store.older.schemas import OBJECT_POSE
 from mjhab.data.store.places import Place
 from mjhab.data.store.reading import RecordedEpisode, open_shard
 from mjhab.rollout.records import EpisodeRecord
+from mjhab.tasks.subtasks.registry import SUBTASKS
 
 CHAIN = "sequential_task"
 """Name of the folder of whole chains."""
@@ -113,9 +114,14 @@ def write_maniskill(
 
 
 def place_of(record: EpisodeRecord) -> Path:
-    """File of an episode: task/subtask/target.h5; for a link the target is its piece of furniture."""
+    """File of an episode: task/subtask/target.h5; for a link the target is its piece of furniture.
+
+    MS-HAB has one file for all drives.
+    """
     if not record.subtask:
         return Path(record.task, CHAIN, "all.h5")
+    if SUBTASKS[record.subtask].about == "way":
+        return Path(record.task, record.subtask, "all.h5")
     target = target_of(record)
     return Path(record.task, record.subtask, f"{target.rpartition('/')[0] or target}.h5")
 

@@ -18,6 +18,9 @@ from mjhab.data.select.describing import navigates_by_teleport
 from mjhab.data.select.facts import target_of
 from mjhab.data.store.episode_data import last_label
 from mjhab.data.store.reading import RecordedEpisode
+from mjhab.rollout.records import Event
+from mjhab.tasks.labelling.legacy import legacy_events
+from mjhab.tasks.subtasks.registry import number_of
 
 _OF_MANISKILL = {own: name for name, own in AS_MANISKILL.items()}
 _PICTURES = {"rgb": "rgb", "depth": "depth", "seg": "segmentation"}
@@ -88,7 +91,7 @@ def _axes_of(episode: RecordedEpisode) -> str:
 def episode_info(number: int, episode: RecordedEpisode, steps: int) -> dict[str, Any]:
     """Metadata of the first ``steps`` control steps of an episode; labels are those of all of it."""
     record = episode.record
-    events = [event for event in record.events if event[0] <= steps]
+    events = [event for event in _events(episode) if event[0] <= steps]
     link = target_of(record).rpartition("/")[0]
     info = {
         "episode_id": number,
@@ -132,6 +135,15 @@ def episode_info(number: int, episode: RecordedEpisode, steps: int) -> dict[str,
     }
     # ManiSkill's readers filter by it: whether the episode is successful in the end.
     return {**info, "success": info["success_at_end"]}
+
+
+def _events(episode: RecordedEpisode) -> Sequence[Event]:
+    """Events of an episode: those of one subtask count as if nothing had held before its first action, as in MS-HAB."""
+    record = episode.record
+    if not record.subtask or "signals/checks" in episode.run.absent:
+        return record.events
+    _, history = episode.history(0)
+    return legacy_events(number_of(record.subtask), history)[0]
 
 
 def _outputs(episode: RecordedEpisode) -> set[str]:

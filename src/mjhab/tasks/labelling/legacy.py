@@ -52,8 +52,24 @@ def legacy_history(kind: int, history: History) -> list[str | None]:
         history: (T+1, W) signals; row 0, the start state, is not looked at, as in the published code.
     """
     history = map_record(to_numpy, history)
+    success = history.success[1:].any(axis=0)
+    labels = []
+    for w, found in enumerate(legacy_events(kind, history)):
+        events: list[str] = []
+        extend(events, kind, (name for _, name in found))
+        there = bool(history.at_goal[1, w])
+        labels.append(legacy_label(kind, events, bool(success[w]), there))
+    return labels
+
+
+def legacy_events(kind: int, history: History) -> list[list[tuple[int, str]]]:
+    """Events of recorded subtasks of one kind, as if nothing had held before the first action: (step, name) by world.
+
+    Steps count from 1, the first action. Arguments as in `legacy_history`.
+    """
+    history = map_record(to_numpy, history)
     steps, worlds = history.success.shape
-    events: list[list[str]] = [[] for _ in range(worlds)]
+    events: list[list[tuple[int, str]]] = [[] for _ in range(worlds)]
     kinds = np.full(worlds, int(kind), dtype=np.int64)
     previous = blank(history.row(0))
     for t in range(1, steps):
@@ -61,10 +77,6 @@ def legacy_history(kind: int, history: History) -> list[str | None]:
         for w, names in enumerate(
             event_names(kinds, step_events(kinds, previous, current))
         ):
-            extend(events[w], kind, names)
+            events[w] += [(t, name) for name in names]
         previous = current
-    success = history.success[1:].any(axis=0)
-    return [
-        legacy_label(kind, events[w], bool(success[w]), bool(history.at_goal[1, w]))
-        for w in range(worlds)
-    ]
+    return events

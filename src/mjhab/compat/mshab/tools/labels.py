@@ -11,8 +11,7 @@ from mjhab.compat.mshab.tools.trees import to_numpy
 from mjhab.core.errors import missing_field, wrong_value
 from mjhab.data.imports.ms_hab_layout import to_events, to_verbose
 from mjhab.tasks.label_state import History
-from mjhab.tasks.labelling.events import blank, event_names, step_events
-from mjhab.tasks.labelling.legacy import legacy_history
+from mjhab.tasks.labelling.legacy import legacy_events, legacy_history
 from mjhab.tasks.subtasks.registry import name_of
 
 KINDS = 5
@@ -50,7 +49,7 @@ def get_episode_label_and_events(
     rows = _rows(kind, success, infos, limit)
     history = History(**{name: _from_start(values) for name, values in rows.items()})
     label = legacy_history(kind, history)[0]
-    events = _events(kind, history)
+    events = legacy_events(kind, history)[0]
     force = [round(float(f), 2) for f in _entry(infos, "robot_force")]
     return label, to_events(name_of(kind), events), to_verbose(events, force)
 
@@ -97,16 +96,3 @@ def _from_start(values: np.ndarray) -> np.ndarray:
     """(T+1, 1) bool with a row for the start, which the published rules do not look at."""
     column = values.astype(bool)[:, None]
     return np.concatenate([column[:1], column])
-
-
-def _events(kind: int, history: History) -> list[tuple[int, str]]:
-    """Events with their steps, counted from 1, as if nothing had held before the first action."""
-    kinds = np.array([kind])
-    previous = blank(history.row(0))
-    events = []
-    for step in range(1, len(history.success)):
-        current = history.row(step)
-        names = event_names(kinds, step_events(kinds, previous, current))[0]
-        events += [(step, name) for name in names]
-        previous = current
-    return events

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import json
 import os
 import subprocess
@@ -20,11 +21,13 @@ from mjhab.compat.mshab.running.hook import Answers
 from mjhab.compat.mshab.running.script import (
     checkout_of,
     find_script,
+    read_constant,
     run_module,
     run_script,
 )
 from mjhab.compat.mshab.running.table import FOREIGN, MSHAB
 from mjhab.core.errors import UsageError
+from tests.refusals import refused
 
 SCRIPTS = Path(__file__).parent / "scripts"
 Lines = Callable[..., list[str]]
@@ -47,8 +50,8 @@ def lines(monkeypatch: Any, capsys: Any) -> Iterator[Lines]:
     # So that the script begins without, and its habit is taken away with this one.
     delattr(gymnasium.Wrapper, "__getattr__")
 
-    def printed(name: str, *arguments: str | Path) -> list[str]:
-        run_script(SCRIPTS / name, list(map(str, arguments)))
+    def printed(name: str, *arguments: str | Path, constants: Any = None) -> list[str]:
+        run_script(SCRIPTS / name, list(map(str, arguments)), constants or {})
         return capsys.readouterr().out.splitlines()
 
     yield printed
@@ -81,6 +84,35 @@ def test_an_evaluation_of_a_vla_counts_success_by_both_rules(lines: Lines) -> No
     lengths, success = lines("vla.py", "2")[-2:]
     assert lengths == "lengths [4, 4] calls 4"
     assert success == "once 0 at end 0 of 2"
+
+
+def test_a_collector_of_whole_tasks_has_its_counts_from_outside(
+    lines: Lines, tmp_path: Path
+) -> None:
+    constants = {"NUM_ENVS": 1, "MAX_TRAJECTORIES": 2, "LABEL": "short"}
+    printed = lines("chains.py", tmp_path, constants=constants)[-1]
+    lengths, pointers = ast.literal_eval(
+        printed.removeprefix("short ").replace("] [", "],[")
+    )
+    # It is written up to the step before that in which the drive was finished.
+    assert len(lengths) == 2 and all(2 <= length <= 5 for length in lengths)
+    assert [len(each) - 1 for each in pointers] == lengths
+    assert not any(map(any, pointers))
+
+
+@pytest.mark.parametrize("given", ["NUM_ENVS", "NUM ENVS=3", "NUM_ENVS=a b", "=3"])
+def test_a_constant_that_is_none_is_refused(given: str) -> None:
+    with refused("--set", given, "NAME=VALUE"):
+        read_constant(given)
+
+
+def test_a_constant_that_the_script_lacks_is_refused(tmp_path: Path) -> None:
+    assert read_constant('LABELS={"pick": None}') == ("LABELS", {"pick": None})
+    script = tmp_path / "one.py"
+    script.write_text("A = 1\nB: int = 2\nC: int\nD = E = 3\nif A:\n    F = 4\n")
+    for name in ("C", "D", "F", "G"):
+        with refused("constant of one.py", name, "A"):
+            run_script(script, [], {name: 1})
 
 
 def test_wrappers_of_a_fork_are_its_own(tmp_path: Path) -> None:

@@ -55,7 +55,7 @@ class RecordEpisodeSequentialTask(RecordEpisode):
 
     def _kept(self, steps: list[dict[str, Any]], world: int) -> int:
         after = [step["info"] for step in steps[1:]]
-        if any(info["success"][world] for info in after):
+        if not after or any(info["success"][world] for info in after):
             return len(after)
         finished = [int(info["subtask"][world]) for info in after]
         least = {"any": 0, "success": len(self.base_env.task_plan)}

@@ -4,11 +4,20 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
+import h5py
 import numpy as np
 import pytest
 from mani_skill.trajectory.dataset import (  # pyright: ignore[reportMissingImports]
     ManiSkillTrajectoryDataset,
+)
+from mani_skill.trajectory.merge_trajectory import (  # pyright: ignore[reportMissingImports]
+    merge_trajectories,
+)
+from mani_skill.trajectory.utils import (  # pyright: ignore[reportMissingImports]
+    dict_to_list_of_dicts,
+    list_of_dicts_to_dict,
 )
 
 from mjhab.data.store.images import ImageFormat
@@ -40,6 +49,22 @@ def test_all_episodes_and_the_successful_ones_alone(exported: Path) -> None:
     assert len(successes) == steps[True]
     ends = successes.terminated | successes.truncated
     assert ends.sum() == 2 and successes.success[ends].all()
+
+
+def test_states_are_read_and_files_merged(exported: Path, tmp_path: Path) -> None:
+    with h5py.File(exported) as file:
+        group: Any = file["traj_0"]
+        states = dict_to_list_of_dicts(group["env_states"])
+        assert len(states) == len(group["actions"]) + 1
+        assert states[0]["actors"]["024_bowl-0"].shape == (13,)
+        back = list_of_dicts_to_dict(states)["actors"]["024_bowl-0"]
+        np.testing.assert_array_equal(back, group["env_states/actors/024_bowl-0"])
+    merged = tmp_path / "merged.h5"
+    merge_trajectories(str(merged), [str(exported)] * 2)
+    one = ManiSkillTrajectoryDataset(str(exported))
+    assert len(ManiSkillTrajectoryDataset(str(merged))) == 2 * len(one)
+    assert one.env_id == "PickSubtaskTrain-v0"
+    assert one.env_kwargs["robot_uids"] == "fetch"
 
 
 def test_an_item_has_observation_and_action(exported: Path) -> None:

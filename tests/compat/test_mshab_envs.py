@@ -448,6 +448,8 @@ def test_arguments_that_cannot_be_honoured_are_refused() -> None:
         read_arguments("pick", {"task_plans": [plan]})
     with refused(said="spawn_data_fp"):
         read_arguments("pick", {"task_plans": [pick]})
+    with refused("render_mode", "human"):
+        gymnasium.make("PickSubtaskTrain-v0", render_mode="human")
     with refused(said="needs task_plans"):
         read_arguments("pick", {"spawn_data_fp": "x.pt"})
 

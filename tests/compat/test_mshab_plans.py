@@ -150,6 +150,8 @@ def test_a_subtask_that_is_none(
 ) -> None:
     with refused(option, where=where):
         plan_data_from_file(plan_file(tmp_path, row))
+    with refused("a file of task plans", None, "its path"):
+        plan_data_from_file(None)
 
 
 def test_a_file_that_is_none_of_plans(tmp_path: Path) -> None:

@@ -95,7 +95,7 @@ def test_a_collector_of_whole_tasks_has_its_counts_from_outside(
         printed.removeprefix("short ").replace("] [", "],[")
     )
     # It is written up to the step before that in which the drive was finished.
-    assert len(lengths) == 2 and all(2 <= length <= 5 for length in lengths)
+    assert len(lengths) == 2 and all(2 <= length <= 7 for length in lengths)
     assert [len(each) - 1 for each in pointers] == lengths
     assert not any(map(any, pointers))
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -61,6 +62,8 @@ def plan_data_from_file(config_path: Any = None) -> PlanData:
         UsageError: there is no such file, it is none of plans, or a plan lacks a field or has one of another type;
             the message names file and field.
     """
+    if not isinstance(config_path, str | os.PathLike):
+        raise wrong_type("a file of task plans", config_path, "its path")
     path = Path(config_path)
     body = _parsed(path)
     if not isinstance(body, Mapping):

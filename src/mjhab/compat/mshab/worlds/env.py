@@ -59,7 +59,8 @@ class MsHabEnv(SceneParts, gymnasium.Env):
     """
 
     metadata: ClassVar[dict[str, Any]] = {
-        "render_modes": ["rgb_array", "all", "sensors"],
+        # Gymnasium would put a window of its own in the place of a mode that is not listed; ours says what there is.
+        "render_modes": ["rgb_array", "all", "sensors", "human"],
         "render_fps": 20,
     }
 

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 
 from result_files import table
 
-from mjhab.data.imports.ms_hab_layout import CHECKS
+from mjhab.data.imports.ms_hab_layout import INFO_CHECKS
 from mjhab.robots.controllers import make_controller
 from mjhab.tasks.subtasks.registry import SUBTASKS
 
@@ -176,7 +176,7 @@ def rows() -> Iterator[tuple[str, str, str, str]]:
         yield "action", entry.name, SAME, how
     for name, (verdict, how) in CONTROL.items():
         yield "control mode", name, verdict, how
-    missing = [name for name in CHECKS if name not in INFO]
+    missing = [name for name in INFO_CHECKS if name not in INFO]
     if missing:
         raise ValueError(f"no verdict on info {missing}")
     for name, (verdict, how) in INFO.items():

@@ -17,9 +17,9 @@ from mjhab.core.conventions.changes import to_scan_axes
 from mjhab.core.names import kind_of
 from mjhab.core.rotations import quat_rotate
 from mjhab.data.imports.ms_hab_layout import (
-    CHECKS,
     FINISHED,
-    FORCES,
+    INFO_CHECKS,
+    INFO_FORCES,
     JOINT,
     checks_of,
     object_id,
@@ -149,12 +149,12 @@ def infos(
         "subtask_type": kinds[np.minimum(pointer, len(record.plan))],
     }
     forces = episode.table("signals/forces")
-    for name, ours in FORCES.items():
+    for name, ours in INFO_FORCES.items():
         found[name] = forces[ours][:rows].astype(np.float32)
     checks = episode.table("signals/checks")
     for kind in dict.fromkeys(entry.kind for entry in record.plan):
         for name in checks_of(kind):
-            found[name] = checks[CHECKS[name]][:rows].astype(bool)
+            found[name] = checks[INFO_CHECKS[name]][:rows].astype(bool)
     entry = record.plan[0]
     furniture, _, link = entry.target.rpartition("/")
     states = env_states(episode, rows, roots)

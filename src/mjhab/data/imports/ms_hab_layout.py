@@ -62,7 +62,7 @@ _THEIRS = {
 _OURS = {theirs: ours for ours, theirs in _THEIRS.items()}
 
 
-CHECKS = {
+INFO_CHECKS = {
     "is_grasped": "is_grasped",
     "obj_at_goal": "at_goal",
     "oriented_correctly": "oriented",
@@ -83,7 +83,7 @@ _SPECIAL = {
 }
 _COMMON = ("ee_rest", "robot_rest", "is_static", "cumulative_force_within_limit")
 PAIRWISE = "robot_target_pairwise_force"
-FORCES = {
+INFO_FORCES = {
     "robot_force": "robot_force",
     "robot_cumulative_force": "cumulative_force",
     PAIRWISE: "target_force",

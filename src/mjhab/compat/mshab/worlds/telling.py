@@ -11,8 +11,8 @@ from mjhab.compat.mshab.files.subtasks import SubtaskConfig
 from mjhab.compat.mshab.worlds.observing import as_tensor
 from mjhab.core.arrays import cast, constant, namespace
 from mjhab.data.imports.ms_hab_layout import (
-    CHECKS,
     FINISHED,
+    INFO_CHECKS,
     JOINT,
     PAIRWISE,
     checks_of,
@@ -45,7 +45,9 @@ class Telling:
         self._worlds = worlds
         self._kinds = tuple(kinds)
         self._alone = bool(worlds.config.subtask)
-        found = {name: CHECKS[name] for kind in self._kinds for name in checks_of(kind)}
+        found = {
+            name: INFO_CHECKS[name] for kind in self._kinds for name in checks_of(kind)
+        }
         self._checks = found
         jointed = {"open", "close"}.intersection(self._kinds)
         handled = {"pick", "place", *jointed}.intersection(self._kinds)

@@ -112,7 +112,7 @@ def test_what_it_cannot_record_is_refused(tmp_path: Path) -> None:
         RecordEpisodeSequentialTask(Scripted(WORLDS, "pick"), tmp_path)
     with refused("demo_filter", "best", "success"):
         RecordEpisodeSequentialTask(Scripted(WORLDS), tmp_path, demo_filter="best")
-    with refused(said="needs that number"):
+    with refused("min_success_subtasks"):
         RecordEpisodeSequentialTask(
             Scripted(WORLDS), tmp_path, demo_filter="min_success_subtasks"
         )

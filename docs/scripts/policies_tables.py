@@ -163,5 +163,8 @@ TABLES = {
     "trainings": lambda: student_table("builtin"),
     "trainings_replica_cad": lambda: student_table("replica_cad"),
     "trainings_walls": lambda: student_table("replica_cad?stage=stand-in"),
+    "trainings_door_walls": lambda: student_table(
+        "replica_cad?stage=stand-in?door_walls=2"
+    ),
     "trainings_seeds": seed_table,
 }

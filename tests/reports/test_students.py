@@ -120,8 +120,13 @@ def test_rows_of_other_seeds_and_packs_stay_and_name_no_folder(tmp_path: Path) -
     config = json.loads((run / "config.json").read_text(encoding="utf-8"))
     (run / "config.json").write_text(json.dumps({**config, "seed": 1}), encoding="utf-8")
     assert main([str(file), str(run), str(judged[0])]) == 0
+    # Trained with walls beside doors, judged in the same homes.
+    scene = {**config["scene"], "assets": {"place": "builtin", "door_walls": 2}}
+    (run / "config.json").write_text(json.dumps({**config, "scene": scene}))
+    assert main([str(file), str(run), str(judged[0])]) == 0
     found = [(row["assets"], row["seed"]) for row in read_rows(file)]
-    assert found == [("builtin", 0), ("replica_cad", 0), ("builtin", 1)]
+    packs = [("builtin", 0), ("replica_cad", 0), ("builtin", 1)]
+    assert found == [*packs, ("builtin?door_walls=2", 0)]
 
 
 def test_students_that_act_together_are_one_row(tmp_path: Path) -> None:

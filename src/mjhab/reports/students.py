@@ -58,7 +58,7 @@ def student_row(run: Path, evaluation: Path) -> dict[str, Any]:
     student = config["config"].get("student", config["config"])
     return {
         **{name: judged[name] or "" for name in ("task", "subtask", "target")},
-        "assets": pack_name(judged["assets"]),
+        "assets": pack_name(judged["assets"]) + _walls_of(config["scene"]),
         "preset": student["preset"],
         "image_size": student["inputs"]["image_size"],
         "views": views(student["inputs"]),
@@ -101,6 +101,13 @@ def pack_name(assets: str | Mapping[str, Any]) -> str:
     given = {"place": assets} if isinstance(assets, str) else assets
     stage = given.get("stage", "own")
     return Path(given["place"]).name + ("" if stage == "own" else f"?stage={stage}")
+
+
+def _walls_of(scene: Mapping[str, Any]) -> str:
+    """What a row adds to the name of the pack if homes had walls beside doors in training."""
+    assets = scene.get("assets", "builtin")
+    walls = 0 if isinstance(assets, str) else assets.get("door_walls", 0)
+    return f"?door_walls={walls}" if walls else ""
 
 
 def evaluated(judged: dict[str, Any], evaluation: Path) -> dict[str, Any]:
@@ -190,7 +197,8 @@ def training(run: Path) -> dict[str, Any]:
         "algorithm": config["algorithm"],
         "rounds": data,
         "episodes": summary["demonstrations"],
-        "frames": sum(part["frames"] for part in data) or summary.get("frames"),
+        # Older runs tell none; the folders lack what --data gave.
+        "frames": summary.get("frames") or sum(part["frames"] for part in data) or None,
         "device": summary.get("device", "cpu"),
         "updates": summary["steps"],
         "samples": summary["samples"],

@@ -440,7 +440,7 @@ def test_registering() -> None:
     for axis, words in (
         (Nothing(), "changes nothing"),
         (Short(), "levels of delay must be 5 numbers"),
-        (Taken(), "'camera' is registered twice"),
+        (Taken(), "must be registered once: mjhab itself"),
         (Late, "Make one first"),
     ):
         with pytest.raises(UsageError, match=words):

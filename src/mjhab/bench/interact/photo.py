@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from mjhab.bench.environments.memory_sampler import MemorySampler
-from mjhab.bench.interact.run import IMAGE_SIDE_PX, OUTPUTS, WARM_STEPS, summarize
+from mjhab.bench.interact.run import IMAGE_SIDE_PX, PICTURE_OUTPUTS, WARM_STEPS, summarize
 from mjhab.bench.interact.scene import (
     STIFF_BODY_MODE,
     InteractScene,
@@ -62,7 +62,11 @@ class PhotoBench:
         robot_q = self._sim.state().robot_q
         self._sim.step(self._controller.command(action[None], robot_q))
         return self._renderer.robot_views(
-            self._sim.state(), [self.scene.home], IMAGE_SIDE_PX, OUTPUTS, (self.camera,)
+            self._sim.state(),
+            [self.scene.home],
+            IMAGE_SIDE_PX,
+            PICTURE_OUTPUTS,
+            (self.camera,),
         )
 
 

@@ -34,7 +34,7 @@ from mjhab.robots.controllers import make_controller
 from mjhab.sim.backends import open_simulator, resolve
 
 IMAGE_SIDE_PX = 128
-OUTPUTS = ("rgb", "depth")
+PICTURE_OUTPUTS = ("rgb", "depth")
 WORLD_MB = 0.34
 """A world on a device without pictures: 0.14 MB of arrays, 0.17 MB that a substep takes on its way (sums for 3 and for
 32 worlds on Warp's CPU device, difference over 29), and a tenth on top."""
@@ -120,13 +120,13 @@ class InteractBench:
                 self.sim,
                 self.scene.layout.robot.camera_names,
                 (IMAGE_SIDE_PX, IMAGE_SIDE_PX),
-                OUTPUTS,
+                PICTURE_OUTPUTS,
             ).draw
         from mjhab.render.home_scene import HomeRenderer
 
         renderer = HomeRenderer(self.sim, threads)
         return lambda: renderer.robot_views(
-            self.sim.state(), self._homes, IMAGE_SIDE_PX, OUTPUTS
+            self.sim.state(), self._homes, IMAGE_SIDE_PX, PICTURE_OUTPUTS
         )
 
     def reset(self) -> None:

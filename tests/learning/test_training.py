@@ -55,6 +55,7 @@ from tests.learning.small import (
     train_config,
     train_in,
 )
+from tests.refusals import refused
 
 
 @pytest.fixture(autouse=True)
@@ -395,7 +396,7 @@ def test_a_run_leaves_its_folder_and_resumes_exactly(
     )
     with pytest.raises(UsageError, match="it was started with seed = 0, now it is 1"):
         train_in(request(source, seed=1), tmp_path / "part", resume=True)
-    with pytest.raises(UsageError, match="not empty"):
+    with refused("out", expected="empty"):
         train_in(request(source), tmp_path / "part")
 
 

@@ -215,12 +215,14 @@ class Runs:
                 torch.save(turning, place / "policy.pt")
                 shutil.copy(made / "config.yml", place / "config.yml")
         if self.generator("gen_data_sequential_task", {}, CHAINS):
-            found = next(
-                (self.out / "mshab_exps").rglob(f"{CHAINS}/sequential/**/*.json")
-            )
+            found = next((self.out / "mshab_exps").rglob(f"{CHAINS}/sequential/**/*.h5"))
             print(
                 json.dumps(
-                    {"trajectories": len(json.loads(found.read_text())["episodes"])}
+                    {
+                        "trajectories": len(
+                            json.loads(found.with_suffix(".json").read_text())["episodes"]
+                        )
+                    }
                 )
             )
 

@@ -155,7 +155,10 @@ def test_homes_render_writes_the_picture(
             ("unknown home", "Did you mean", "builtin_m1_00"),
         ),
         (("homes", "render", "nowhere"), ("unknown home", "builtin_m0_00")),
-        (("homes", "render", "builtin_m0_00", "--out", "x.jpg"), ("must end with .png",)),
+        (
+            ("homes", "render", "builtin_m0_00", "--out", "x.jpg"),
+            ("a name that ends with .png",),
+        ),
         (
             ("homes", "render", "builtin_m0_00", "--width", "0"),
             ("width must be at least 16",),

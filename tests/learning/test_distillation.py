@@ -87,7 +87,12 @@ def test_a_teacher_for_each_subtask_in_each_pack() -> None:
         f"{close}@rooms",
         f"{fridge}@rooms",
     ]
-    assert spec.teachers == ("a.json", f"student:{fridge}", "c.json", f"student:{fridge}")
+    assert spec.teachers == (
+        f"a.json:{close}",
+        f"student:{fridge}",
+        f"c.json:{close}",
+        f"student:{fridge}",
+    )
 
 
 def test_a_teacher_that_sees_larger_images_is_refused(tmp_path: Path) -> None:

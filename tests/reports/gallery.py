@@ -314,4 +314,5 @@ def _reproduce() -> str:
         "paper_says": "a sentence of the paper that is rather long, as such sentences are",
     }
     config = {"what": "table1", "column": "bc", "preset": "small", "split": "val"}
+    config |= {"assets": "builtin"}
     return reproduce_page([result], config)

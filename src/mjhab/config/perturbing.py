@@ -14,7 +14,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from mjhab.core.errors import MjhabError, UsageError, fault, wrong_value
+from mjhab.core.errors import MjhabError, UsageError, about, fault, wrong_value
 from mjhab.core.names import check_name
 from mjhab.core.registration.plugins import raised_text
 from mjhab.core.registration.registry import Registry, check_item
@@ -273,7 +273,8 @@ def parse_axes(asked: str | Mapping[str, Any], option: str = "perturb") -> dict[
     if [axis for axis, _ in entries] == [ALL]:
         entries = [(axis, entries[0][1]) for axis in PERTURBATIONS]
     for axis, level in entries:
-        PERTURBATIONS.check(axis)
+        with about(option, UsageError):
+            PERTURBATIONS.check(axis)
         if (
             isinstance(level, bool)
             or not isinstance(level, int)
@@ -293,7 +294,8 @@ def _entries(asked: str | Mapping[str, Any], option: str) -> list[tuple[str, Any
     for part in filter(None, (part.strip() for part in asked.split(","))):
         entry = _ENTRY.fullmatch(part)
         if entry is None:
-            PERTURBATIONS.check(part.partition(":")[0].strip())
+            with about(option, UsageError):
+                PERTURBATIONS.check(part.partition(":")[0].strip())
             raise wrong_value(
                 option,
                 asked,

@@ -145,6 +145,6 @@ def test_a_score_with_errors_of_the_policy_is_exit_code_1(
         "tainted": 0,
         "other_starts": 0,
     }
-    result = ScoreResult({"track": "subtasks"}, summary, (), "0")
+    result = ScoreResult({"track": "subtasks", "split": "test"}, summary, (), "0")
     monkeypatch.setattr("mjhab.cli.policies.score.score", lambda *_: result)
     assert main(["score", "--json", "--out", str(tmp_path / "score")]) == code

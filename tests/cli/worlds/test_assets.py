@@ -100,7 +100,7 @@ def test_the_licence_is_asked_for(
         ),
         (
             ("fetch", "ycb", "--accept-licence", "--offline", "none.zip"),
-            ("none.zip", "no such file"),
+            ("none.zip", "does not exist"),
         ),
         (("verify", "ycb"), ("does not exist", "mjhab assets fetch ycb")),
         (("where", "nothing"), ("unknown data set",)),

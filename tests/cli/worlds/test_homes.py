@@ -130,7 +130,12 @@ def painted(monkeypatch: pytest.MonkeyPatch) -> list[tuple[Any, ...]]:
     asked: list[tuple[Any, ...]] = []
 
     def draw(
-        pack: Pack, homes: Sequence[str], view: str, width: int, height: int
+        pack: Pack,
+        homes: Sequence[str],
+        view: str,
+        width: int,
+        height: int,
+        *shading: object,
     ) -> Iterator[np.ndarray]:
         asked.append((list(homes), view, width, height))
         return (

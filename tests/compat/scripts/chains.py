@@ -7,6 +7,7 @@ from pathlib import Path
 
 import gymnasium as gym
 import h5py
+import numpy as np
 import torch
 from mani_skill.vector.wrappers.gymnasium import ManiSkillVectorEnv
 from mshab.envs.planner import NavigateSubtask
@@ -50,5 +51,7 @@ for step in range(100):
 envs.close()
 about = json.loads((Path(sys.argv[1]) / "set.json").read_text())
 with h5py.File(Path(sys.argv[1]) / "set.h5") as file:
-    pointers = [file[f"traj_{i}/info/subtask"][()].tolist() for i in range(len(file))]
+    pointers = [
+        np.asarray(file[f"traj_{i}/info/subtask"]).tolist() for i in range(len(file))
+    ]
 print(LABEL, [each["elapsed_steps"] for each in about["episodes"]], pointers)

@@ -16,7 +16,7 @@ from mjhab.data.imports.ms_hab_layout import (
 )
 from mjhab.data.select.describing import navigates_by_teleport
 from mjhab.data.select.facts import target_of
-from mjhab.data.store.episode_data import last_label
+from mjhab.data.store.episode_data import OLDER_ROBOT, last_label
 from mjhab.data.store.reading import RecordedEpisode
 from mjhab.rollout.records import Event
 from mjhab.tasks.labelling.legacy import legacy_events
@@ -61,7 +61,7 @@ def _made_with(run: Mapping[str, Any], first: Mapping[str, Any]) -> dict[str, An
         "obs_mode": "+".join(_PICTURES[name] for name in first["pictures"]) or "state",
         "reward_mode": "normalized_dense",
         "control_mode": first["control_mode"],
-        "robot_uids": layout.get("robot", "fetch"),
+        "robot_uids": layout.get("robot", OLDER_ROBOT),
         "num_envs": 1,
         "sim_backend": "physx_cpu",
         "add_event_tracker_info": True,

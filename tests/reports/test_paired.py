@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from itertools import product
 
 import numpy as np
@@ -25,7 +26,8 @@ def test_mcnemar_known_values() -> None:
     assert mcnemar(0, 0) == 1.0 and mcnemar(4, 4) == 1.0
     assert mcnemar(0, 6) == mcnemar(6, 0) == pytest.approx(2 / 64, abs=1e-6)
     assert mcnemar(12, 2) == pytest.approx(2 * (1 + 14 + 91) / 2**14, abs=1e-6)
-    # Beyond the range of floats the normal distribution goes on where the coins end.
+    far = 2 * sum(math.comb(129, few) for few in range(34)) / 2**129
+    assert mcnemar(33, 96) == pytest.approx(far, rel=1e-3) and 0 < far < 1e-7
     assert mcnemar(530, 469) == pytest.approx(mcnemar(530, 470), abs=0.005)
 
 

@@ -163,8 +163,7 @@ def run_comparison(spec: CompareSpec) -> Comparison:
         told = ", ".join(f"{p} ({k})" for p, k in zip(spec.runs, kinds, strict=True))
         raise UsageError(f"evaluations and training runs cannot be compared: {told}.")
     names = names_of(spec.runs)
-    found = (_trainings if kinds[0] == METRICS else _evaluations)(spec, names)
-    return found
+    return (_trainings if kinds[0] == METRICS else _evaluations)(spec, names)
 
 
 def _kind_of(folder: Path) -> str:
@@ -206,14 +205,8 @@ def _evaluations(spec: CompareSpec, names: Sequence[str]) -> Comparison:
         _check_episodes(runs[0], run)
     pairs = tuple(pairs_of(runs))
     cautions = tuple(_cautions(runs, pairs))
-    write_page(spec.out, render_comparison(runs, pairs, cautions))
+    write_text(spec.out, render_comparison(runs, pairs, cautions))
     return Comparison(runs, pairs, {}, spec.out, cautions)
-
-
-def write_page(path: Path, page: str) -> None:
-    """Write a page, with the folders above it."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    write_text(path, page)
 
 
 def _read(folder: Path, name: str) -> ComparedRun:
@@ -335,7 +328,7 @@ def _trainings(spec: CompareSpec, names: Sequence[str]) -> Comparison:
         )
         for name, of_run in rows.items()
     }
-    write_page(spec.out, render_trainings(rows, configs))
+    write_text(spec.out, render_trainings(rows, configs))
     return Comparison((), (), last, spec.out)
 
 

@@ -254,6 +254,9 @@ class FakeEnv:
                 obs["sensor_param/fetch_head/cam2world_gl"] = pose
         return obs
 
+    def wordings(self, world: int) -> tuple[tuple[str, ...], ...]:
+        return tuple((f"{kind} {target}", f"please {kind}") for kind, target in self.plan)
+
     def get_state(self, world: int) -> dict[str, Any]:
         return {
             "sim": self.sim.get_world(world),

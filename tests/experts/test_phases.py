@@ -9,7 +9,14 @@ import pytest
 
 from mjhab.envs import make
 from mjhab.experts import make_expert
-from mjhab.experts.phases import PHASES, phase, phases_in, phases_of
+from mjhab.experts.phases import (
+    PHASES,
+    doing,
+    phase,
+    phases_in,
+    phases_of,
+)
+from tests.refusals import refused
 
 
 @phase("wave")
@@ -59,10 +66,30 @@ def test_the_expert_says_what_it_is_doing() -> None:
     policy.reset(np.ones(1, bool))
     assert policy.phases(0) == ()
     seen = set()
+    told: list[str] = []
     while info["ended"][0] is None:
         obs, _, _, _, info = env.step(policy.act(obs, info))
         seen.add(policy.phases(0))
+        now = policy.notes().doing[0]
+        assert now.phases == policy.phases(0)
+        told += [now.skill] if now.skill not in told else []
     assert ("open the drawer", "take the handle", "grasp the handle") in {
         names[:3] for names in seen
     }
     assert any(names[:2] == ("open the drawer", "let go of the handle") for names in seen)
+    assert told == ["approach", "grasp", "pull", "release", "retract", "hold"]
+
+
+def test_an_inner_phase_without_a_skill_does_that_of_the_outer_one() -> None:
+    @phase("tidy", "carry")
+    def tidy() -> Generator[int, None, None]:
+        yield from greet()
+
+    script = tidy()
+    next(script)
+    assert doing(script) == ("carry", ("tidy", "greet"))
+
+
+def test_a_skill_is_one_of_the_list() -> None:
+    with refused(given="jump", expected="lift"):
+        phase("leap", "jump")

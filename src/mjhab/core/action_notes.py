@@ -1,10 +1,25 @@
-"""Notes of a policy about its actions: which policy acted, and the action without noise."""
+"""Notes of a policy about its actions: which policy acted, what it was doing, and the action without noise."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
+
+
+class Doing(NamedTuple):
+    """What a policy is doing in a control step, in its own words.
+
+    skill: one word, such as "lift"; "" if it does not tell. phases: names, outermost first.
+    """
+
+    skill: str = ""
+    phases: tuple[str, ...] = ()
+
+
+NOTHING = Doing()
 
 
 @dataclass(frozen=True, eq=False)
@@ -15,6 +30,7 @@ class ActionNotes:
         noise (intended: without noise) and where an expert corrects a student that acts (intended: the expert's).
     actor: (W,) uint8, index into ``actors`` of the policy whose action is executed in each world.
     actors: names of all policies that can act, the same in every step; for example ("student", "expert").
+    doing: what the policy is doing in each world; empty if it does not tell.
 
     Raises:
         ValueError: the shapes differ in W, or an index in ``actor`` is outside of ``actors``.
@@ -23,6 +39,7 @@ class ActionNotes:
     intended: np.ndarray
     actor: np.ndarray
     actors: tuple[str, ...]
+    doing: Sequence[Doing] = ()
 
     def __post_init__(self) -> None:
         if self.actor.shape != self.intended.shape[:1] or self.actor.dtype != np.uint8:

@@ -161,6 +161,12 @@ class SequentialTaskEnv(TaskLoop, VectorEnv):
             world, self.episodes_now[world], self.tables.plans[world]
         )
 
+    def wordings(self, world: int) -> tuple[tuple[str, ...], ...]:
+        """All sentences that ask for each subtask of a world's episode; one of them is its instruction."""
+        episode = self.episodes_now[world]
+        assert episode is not None, "wordings are those of an episode"
+        return self.reporter.wordings(episode, self.tables.plans[world])
+
     def adopt(self, world: int, episode: Episode) -> Start:
         """Set home and plan of a world to those of an episode; returns the start state, which is not applied yet."""
         start = self.source.start(episode)

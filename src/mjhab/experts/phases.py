@@ -1,4 +1,4 @@
-"""Names of what scripts are doing, for the overlay of the viewer and for errors.
+"""Names of what scripts are doing, for recordings, the overlay of the viewer and errors.
 
 A phase is a generator function that does one thing, such as "pull the door open". Scripts are made of phases by
 ``yield from``; which ones run is read off the suspended generators, so that a script keeps no record of its own.
@@ -10,16 +10,44 @@ from collections.abc import Callable, Generator, Iterator
 from types import CodeType, FrameType
 from typing import Any, TypeVar
 
+from mjhab.core.action_notes import Doing
+from mjhab.core.errors import unknown_name
+
 F = TypeVar("F", bound=Callable[..., Any])
 PHASES: dict[CodeType, str] = {}
 """Name of every phase by the code of its function."""
+SKILLS: tuple[str, ...] = (
+    "approach",
+    "grasp",
+    "lift",
+    "carry",
+    "place",
+    "release",
+    "retract",
+    "pull",
+    "push",
+    "drive",
+    "hold",
+)
+"""What all phases of all scripts do, in few words for learners: "lift" of whatever lies wherever."""
+_SKILL_OF: dict[CodeType, str] = {}
 
 
-def phase(name: str) -> Callable[[F], F]:
-    """Name the phase that a generator function is, by what the robot does in it."""
+def phase(name: str, skill: str = "") -> Callable[[F], F]:
+    """Name the phase that a generator function is, by what the robot does in it.
+
+    ``skill``: one of `SKILLS`; "" for a phase that does what the one around it does, such as to drive into a shelf.
+
+    Raises:
+        UsageError: there is no such skill.
+    """
+    if skill and skill not in SKILLS:
+        raise unknown_name("skill", skill, SKILLS)
 
     def named(function: F) -> F:
         PHASES[function.__code__] = name
+        if skill:
+            _SKILL_OF[function.__code__] = skill
         return function
 
     return named
@@ -37,6 +65,13 @@ def phases_of(script: Generator[Any, Any, Any]) -> tuple[str, ...]:
     """Names of the phases that a suspended script is in, outermost first."""
     codes = (frame.f_code for frame in frames_of(script))
     return tuple(PHASES[code] for code in codes if code in PHASES)
+
+
+def doing(script: Generator[Any, Any, Any]) -> Doing:
+    """What a suspended script is doing: the skill of its innermost phase that has one, and all its phases."""
+    codes = [frame.f_code for frame in frames_of(script)]
+    skill = next((_SKILL_OF[code] for code in reversed(codes) if code in _SKILL_OF), "")
+    return Doing(skill, tuple(PHASES[code] for code in codes if code in PHASES))
 
 
 def phases_in(error: BaseException) -> tuple[str, ...]:

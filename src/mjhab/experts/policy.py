@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Generator, Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import replace
 from typing import Any, cast
 
 import numpy as np
 
-from mjhab.core.action_notes import ActionNotes
+from mjhab.core.action_notes import NOTHING, ActionNotes
 from mjhab.core.errors import UsageError, fault
 from mjhab.core.registration.plugins import raised_text, resolved
 from mjhab.core.seeding import stream
@@ -16,7 +17,7 @@ from mjhab.envs.parts.world_view import WorldView
 from mjhab.envs.parts.worlds import PolicyWorlds
 from mjhab.experts.arm import motion
 from mjhab.experts.gaze import Gaze
-from mjhab.experts.phases import phases_in, phases_of
+from mjhab.experts.phases import doing, phases_in, phases_of
 from mjhab.experts.style import ActionNoise, StyledView
 from mjhab.tasks.household.registry import TASKS
 from mjhab.tasks.plan import Subtask
@@ -150,8 +151,10 @@ class ExpertPolicy:
         return self._last.copy()
 
     def notes(self) -> ActionNotes:
-        """Intended actions (W, A) of the last ``act``: without the noise of the style."""
-        return ActionNotes.plain(self._intended.copy(), self.name)
+        """Intended actions (W, A) of the last ``act``, without the noise of the style, and what scripts are doing."""
+        plain = ActionNotes.plain(self._intended.copy(), self.name)
+        now = [NOTHING if script is None else doing(script) for script in self._scripts]
+        return replace(plain, doing=now)
 
     def script(self, world: int) -> Script | None:
         """Script that runs in a world; None before the first ``act`` of its episode."""

@@ -189,6 +189,31 @@ def subtask_instruction(request: InstructionRequest, draw: Draw = first_wording)
     return " ".join(sentence.split())
 
 
+def subtask_wordings(request: InstructionRequest) -> tuple[str, ...]:
+    """All sentences that `subtask_instruction` makes of one subtask, each once; the first wording comes first.
+
+    Raises:
+        UsageError: an unknown kind.
+    """
+    found: dict[str, None] = {}
+    waiting: list[tuple[int, ...]] = [()]
+    for begun in waiting:
+        counts: list[int] = []
+
+        def draw(
+            count: int, begun: tuple[int, ...] = begun, counts: list[int] = counts
+        ) -> int:
+            counts.append(count)
+            return begun[len(counts) - 1] if len(counts) <= len(begun) else 0
+
+        found[subtask_instruction(request, draw)] = None
+        # What this run drew beyond ``begun`` was 0 each time: every other number begins a run of its own.
+        for k in range(len(begun), len(counts)):
+            zeros = (0,) * (k - len(begun))
+            waiting += [(*begun, *zeros, other) for other in range(1, counts[k])]
+    return tuple(found)
+
+
 def task_instruction(
     task: str, requests: Sequence[InstructionRequest], draw: Draw = first_wording
 ) -> str:

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Protocol
 
 import numpy as np
 
+from mjhab.core.action_notes import NOTHING, Doing
 from mjhab.core.errors import MjhabError, UsageError
 from mjhab.data.record.provenance import describe_run, model_hash
 from mjhab.data.record.worlds import RecordedEnv
+from mjhab.data.store.annotations import ANNOTATIONS, Annotations
 from mjhab.data.store.episode_data import EpisodeData, RunInfo, last_label, to_bytes
 from mjhab.data.store.images import ImageFormat, encode, stored_frames
 from mjhab.data.store.schema import FORCES, STORED_CHECKS
@@ -81,6 +83,7 @@ class Recorder(Sink[RecordedEnv]):
         checks, forces = signal_rows(env.signals)
         for w in np.flatnonzero(mask).tolist():
             buffer = _Buffer(env.get_state(w), len(info["episode_spec"][w]["plan"]))
+            buffer.wordings = env.wordings(w)
             buffer.enter(0, int(info["pointer"][w]), checks[w])
             buffer.add_state(self._physics(env, w), checks[w], forces[w], info, w)
             buffer.add_obs(obs, w, self._images)
@@ -161,6 +164,8 @@ class _Buffer:
         self.length = length
         self.active: list[int] = []
         self.actors: tuple[str, ...] = ()
+        self.wordings: Sequence[Sequence[str]] = ()
+        self._doing: list[Doing] = []
         self._rows: dict[str, list[Any]] = {}
         self._terms: list[dict[str, float]] = []
         self._files: dict[str, list[bytes]] = {}
@@ -216,6 +221,7 @@ class _Buffer:
         self._put("actions_intended", np.array(step.notes.intended[world], np.float32))
         self._put("actor", np.uint8(step.notes.actor[world]))
         self.actors = step.notes.actors
+        self._doing.append(step.notes.doing[world] if step.notes.doing else NOTHING)
         self._put("reward/total", np.float64(step.reward[world]))
         self._put("reward/success", np.uint8(step.info["success"][world]))
         self._put("reward/fail", np.uint8(step.info["fail"][world]))
@@ -233,6 +239,9 @@ class _Buffer:
         """All datasets of the episode except its record."""
         arrays = {path: np.stack(rows) for path, rows in self._rows.items()}
         arrays["states/initial"] = to_bytes(self.initial)
+        told = Annotations.of(self._doing, self.wordings)
+        if told:
+            arrays[ANNOTATIONS] = told.array
         names = self._term_names()
         if names:
             arrays["reward/terms"] = np.array(

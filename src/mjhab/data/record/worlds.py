@@ -192,6 +192,10 @@ class RecordedEnv(RolloutEnv, Protocol):
         """Start episodes. ``seed`` is one for all worlds, or one per world with None to keep it. See `RolloutEnv`."""
         ...
 
+    def wordings(self, world: int, /) -> Sequence[Sequence[str]]:
+        """Sentences that ask for each subtask of a world's plan; none where the environment has no words."""
+        ...
+
     def get_state(self, world: int, /) -> dict[str, Any]:
         """Complete state of one world."""
         ...

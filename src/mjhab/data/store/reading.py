@@ -16,6 +16,7 @@ from mjhab.core.conventions.names import OBJECT_AXES, SCAN_AXES, Conventions
 from mjhab.core.errors import UsageError, fault, unknown_name
 from mjhab.core.files.reading import parse_json, reason
 from mjhab.core.names import check_name
+from mjhab.data.store.annotations import ANNOTATIONS, Annotations
 from mjhab.data.store.episode_data import (
     RunInfo,
     from_bytes,
@@ -178,6 +179,15 @@ class RecordedEpisode:
                     f"attribute 'actors' must be a list of texts, not {names[:60]!r}"
                 )
             return tuple(actors)
+
+    @property
+    def annotations(self) -> Annotations:
+        """Skills and wordings; empty where none were recorded."""
+        if ANNOTATIONS not in self.paths:
+            return Annotations()
+        data = self.array(ANNOTATIONS)
+        with self.reading():
+            return Annotations.from_array(data, self.steps)
 
     @property
     def nbytes(self) -> int:

@@ -117,6 +117,7 @@ FIELDS = _fields("""
 1 | obs/state        | N+1 | (N+1, D) | float32 | see columns | all state observations, side by side
 1 | obs/*?           | N+1 | (N+1, ...) | any | see the observation table | any other observation
 1 | images/*/bytes?  |     | bytes | uint8 | PNG or JPEG | encoded frames, one after another
+4 | annotations?     |     | bytes | uint8 | JSON | skills of who acted, wordings of the instructions (`Annotations`)
 1 | images/*/ends?   | N+1 | (N+1,) | int64 | bytes | where each frame ends in them
 """)
 """Every dataset of an episode group; N actions, N+1 states, K subtasks reached, A action size."""

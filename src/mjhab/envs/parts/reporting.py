@@ -73,6 +73,10 @@ class Reporter:
             )
         return self._descriptions[world]
 
+    def wordings(self, episode: Episode, plan: TaskPlan) -> tuple[tuple[str, ...], ...]:
+        """All wordings of each subtask of an episode, see `InstructionGenerator.wordings`."""
+        return self._narrator.wordings(episode, plan)
+
     def entries(
         self,
         episodes: Sequence[Episode | None],

@@ -25,6 +25,7 @@ from mjhab.tasks.instructions import (
     instructions,
     names_of,
     seeded_draw,
+    subtask_wordings,
     with_article,
 )
 from mjhab.tasks.plan import GOAL_OF, Subtask, Target, TaskPlan
@@ -65,6 +66,12 @@ class InstructionGenerator:
         draw = seeded_draw(stream(episode.seed, "instruction", episode.index))
         whole = [] if alone else [tale.request(k, anytime=True) for k in positions]
         return instructions(episode.task, requests, whole, draw)
+
+    def wordings(self, episode: Episode, plan: TaskPlan) -> tuple[tuple[str, ...], ...]:
+        """All sentences with which `instructions` may ask for each subtask of a plan."""
+        tale = _Tale(self._layout, episode, plan, self._words(episode.home), self._alike)
+        positions = range(len(plan.subtasks))
+        return tuple(subtask_wordings(tale.request(k)) for k in positions)
 
     def _words_of(self, home: str) -> HomeWords:
         return HomeWords(self._layout, self._homes[home], self._templates)

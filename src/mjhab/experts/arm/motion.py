@@ -372,7 +372,7 @@ def angle_between(now: np.ndarray, goal: np.ndarray) -> float:
     return float(np.arccos(np.clip((np.trace(now.T @ goal) - 1) / 2, -1.0, 1.0)))
 
 
-@phase("close the fingers")
+@phase("close the fingers", "grasp")
 def close_fingers(
     view: WorldView,
     target: str,
@@ -407,7 +407,7 @@ def close_fingers(
     return False
 
 
-@phase("move the arm to rest")
+@phase("move the arm to rest", "retract")
 def to_rest(view: WorldView, *, gripper: float, max_steps: int = 120) -> Motion:
     """Move arm, torso and head to the rest configuration. Returns whether arm and torso arrived."""
     return (
@@ -435,7 +435,7 @@ def steps_home(robot: Robot, q: np.ndarray) -> np.ndarray:
     return ik.travel_steps(robot.chain, q, rest, ik.columns(robot.chain))
 
 
-@phase("stay at rest")
+@phase("stay at rest", "hold")
 def stay_at_rest(view: WorldView, *, gripper: float) -> Motion:
     """Hold the rest configuration; never ends by itself."""
     goal = rest_goal(view)

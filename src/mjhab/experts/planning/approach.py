@@ -168,7 +168,7 @@ def creep(
     return motion.action(view, posture, gripper=gripper, drive=(speed, turn))
 
 
-@phase("let go of the handle")
+@phase("let go of the handle", "release")
 def let_go(
     view: WorldView, distance: float, *, gripper: float = motion.OPEN, speed: float = 0.3
 ) -> Motion:
@@ -202,7 +202,7 @@ def let_go(
     )
 
 
-@phase("retract the arm")
+@phase("retract the arm", "retract")
 def retract(
     view: WorldView,
     distances: tuple[float, ...] = (0.0, 0.15, 0.3, 0.45, 0.6),
@@ -248,7 +248,7 @@ def retract(
     return (yield from motion.to_rest(view, gripper=gripper))
 
 
-@phase("drive back")
+@phase("drive back", "retract")
 def retreat(view: WorldView, distance: float, speed: float = 0.4) -> Motion:
     """Drive ``distance`` [m] backwards at ``speed`` [m/s] with the arm held. Returns whether the base arrived."""
     posture = view.q
@@ -261,7 +261,7 @@ def retreat(view: WorldView, distance: float, speed: float = 0.4) -> Motion:
     return False
 
 
-@phase("grasp the handle")
+@phase("grasp the handle", "approach")
 def take(
     view: WorldView,
     link: JointedLink,

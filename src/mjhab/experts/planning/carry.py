@@ -139,7 +139,7 @@ def drive_in(
     return False
 
 
-@phase("drive straight out")
+@phase("drive straight out", "retract")
 def drive_out(
     view: WorldView, distance: float, *, gripper: float, speed: float = OUT_SPEED_M_S
 ) -> Motion:
@@ -205,7 +205,7 @@ def _clearance_in(robot: Robot, goal: np.ndarray, distance: float, boxes: Boxes)
     return float(motion.spheres(robot).clearance(q, boxes).min())
 
 
-@phase("bring the arm to rest")
+@phase("bring the arm to rest", "retract")
 def go_home(view: WorldView, obj: str, *, holding: bool = True) -> Motion:
     """Bring the arm to its rest pose; the base drives backwards as far as obstacles require.
 
@@ -233,7 +233,7 @@ def go_home(view: WorldView, obj: str, *, holding: bool = True) -> Motion:
     return (yield from motion.to_rest(view, gripper=gripper, max_steps=60))
 
 
-@phase("bring the arm to rest on the way out")
+@phase("bring the arm to rest on the way out", "retract")
 def go_home_fast(view: WorldView, obj: str) -> Motion:
     """Bring the arm to rest while the base still drives out of a shelf, if one after the other takes too long and a
     collision-free way is found. Returns whether it set out; the object may be lost then."""

@@ -58,7 +58,7 @@ MAX_GRASPS = 2
 """Attempts to close the drawer by its handle before the closed fingers push it."""
 
 
-@phase("open the drawer")
+@phase("open the drawer", "pull")
 def open_drawer(view: WorldView, link: JointedLink) -> Motion:
     """Open a drawer: grasp the bar, pull it, release it, return to rest; again after a slip."""
     full = link.range[1]
@@ -86,7 +86,7 @@ def open_drawer(view: WorldView, link: JointedLink) -> Motion:
     return (yield from approach.retract(view, gripper=gripper))
 
 
-@phase("close the drawer")
+@phase("close the drawer", "push")
 def close_drawer(view: WorldView, link: JointedLink) -> Motion:
     """Close a drawer: push its handle with the closed fingers by driving forward.
 
@@ -120,7 +120,7 @@ def close_drawer(view: WorldView, link: JointedLink) -> Motion:
     return (yield from approach.retract(view))
 
 
-@phase("take the handle")
+@phase("take the handle", "approach")
 def _take_handle(view: WorldView, link: JointedLink, goal: float) -> Motion:
     """Grasp the bar from a motion from which the base can drive until the drawer is open by ``goal`` [m]."""
     found = link_motions.cached(view.robot, link, "pull", _pull_motions)
@@ -158,7 +158,7 @@ def _take_on(view: WorldView, link: JointedLink, path: LinkPath) -> Motion:
     return (yield from approach.take(view, link, rot, path.at(q), gripper=gripper))
 
 
-@phase("pull the drawer by the arm")
+@phase("pull the drawer by the arm", "pull")
 def _pull(view: WorldView, link: JointedLink, path: LinkPath) -> Motion:
     """Move hand and base along the path until the drawer is open. Returns False when the hand loses the handle."""
     goal = OPEN_TO_SHARE * link.range[1]

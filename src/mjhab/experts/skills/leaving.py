@@ -43,7 +43,7 @@ def stays_open(view: WorldView, link: JointedLink, enough: float) -> bool:
     return view.link_q(link.id) >= enough or swings(view, link)
 
 
-@phase("wait until the link closes no more")
+@phase("wait until the link closes no more", "hold")
 def settle(view: WorldView, link: JointedLink, gripper: float) -> Motion:
     """Stand still until a link that runs free closes no more, or for `STILL_STEPS` control steps."""
     if not view.links_run_free:
@@ -55,7 +55,7 @@ def settle(view: WorldView, link: JointedLink, gripper: float) -> Motion:
     return (yield from motion.hold(view, STILL_STEPS, gripper=gripper, until=still))
 
 
-@phase("retract beside the open link")
+@phase("retract beside the open link", "retract")
 def retract_beside(
     view: WorldView, link: JointedLink, enough: float, gripper: float
 ) -> Motion:
@@ -67,7 +67,7 @@ def retract_beside(
     return stays_open(view, link, enough)
 
 
-@phase("let the door swing on")
+@phase("let the door swing on", "release")
 def swing_on(view: WorldView, link: JointedLink) -> Motion:
     """Open the fingers around the bar of a door that swings open, and draw them back while they keep pace with the bar.
 

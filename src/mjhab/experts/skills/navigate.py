@@ -129,7 +129,7 @@ class Aim(NamedTuple):
         return out
 
 
-@phase("navigate")
+@phase("navigate", "drive")
 def navigate(view: WorldView) -> Motion:
     """Drive to the goal of the active subtask, face it and stand still; never ends by itself."""
     subtask = view.subtask
@@ -226,7 +226,7 @@ def _facing(
     )
 
 
-@phase("drive")
+@phase("drive", "drive")
 def _drive(
     view: WorldView, trajectory: BaseTrajectory, posture: np.ndarray, gripper: float
 ) -> Generator[np.ndarray, None, np.ndarray | None]:
@@ -286,7 +286,7 @@ def _ahead(view: WorldView, segment: PathSegment) -> np.ndarray:
     return np.array([[*at, FELT_RADIUS_M]])
 
 
-@phase("back off from an obstacle")
+@phase("back off from an obstacle", "drive")
 def _back_off(
     view: WorldView, posture: np.ndarray, gripper: float, trajectory: BaseTrajectory
 ) -> Motion:
@@ -320,7 +320,7 @@ def _arrived(view: WorldView, aim: Aim) -> bool:
     return bool(facing and aim.allows(q[BASE_XY], 0.0))
 
 
-@phase("stand at the goal")
+@phase("stand at the goal", "hold")
 def _stand(view: WorldView, aim: Aim, posture: np.ndarray, gripper: float) -> Motion:
     """Stand still with the arm at rest while the base is at its goal. Returns when it no longer is."""
     while _arrived(view, aim):

@@ -59,7 +59,7 @@ MAX_PUSH_FORCE_N = 200.0
 """Contact force at which a push ends."""
 
 
-@phase("turn the object by a push")
+@phase("turn the object by a push", "push")
 def nudge(
     view: WorldView, obj: str, plan: Nudge, boxes: Boxes, graspable: Graspable
 ) -> Motion:
@@ -93,7 +93,7 @@ class _PushingHand:
     rest: np.ndarray
 
 
-@phase("push one end of the object inwards")
+@phase("push one end of the object inwards", "push")
 def _push(
     view: WorldView, obj: str, plan: Nudge, hand: _PushingHand, graspable: Graspable
 ) -> Motion:

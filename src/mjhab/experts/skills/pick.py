@@ -95,7 +95,7 @@ def pick(view: WorldView) -> Motion:
     return (yield from pick_up(view, subtask.obj))
 
 
-@phase("pick up")
+@phase("pick up", "approach")
 def pick_up(view: WorldView, obj: str, *, keep: bool = True) -> Motion:
     """Pick up an object wherever it lies and bring the arm to rest; repeated until the episode ends.
 
@@ -159,7 +159,7 @@ def _carry_on(view: WorldView, obj: str, keep: bool) -> Motion:
     return (yield from _carry(view, obj, shelf=shelf, fast=False, keep=keep))
 
 
-@phase("carry")
+@phase("carry", "carry")
 def _carry(view: WorldView, obj: str, *, shelf: bool, fast: bool, keep: bool) -> Motion:
     """Bring a lifted object out of a ``shelf`` and the arm to rest, and hold it there until it is lost.
 
@@ -177,7 +177,7 @@ def _carry(view: WorldView, obj: str, *, shelf: bool, fast: bool, keep: bool) ->
     return False
 
 
-@phase("leave the failed grasp")
+@phase("leave the failed grasp", "retract")
 def _draw_back(
     view: WorldView, obj: str, placement: BasePlacement, depth: float
 ) -> Motion:
@@ -223,7 +223,7 @@ def _planned(
     return None
 
 
-@phase("look for a push")
+@phase("look for a push", "approach")
 def _nudge(view: WorldView, obj: str) -> Motion:
     """Turn an object on a shelf such that it can be grasped, and draw back a little. Returns whether it turned."""
     pose = view.object_pose(obj)
@@ -261,7 +261,7 @@ def _nudge(view: WorldView, obj: str) -> Motion:
     return done
 
 
-@phase("take the object")
+@phase("take the object", "approach")
 def _take(
     view: WorldView,
     obj: str,
@@ -336,7 +336,7 @@ def _is_along(view: WorldView, obj: str, goal: HandGoals) -> bool:
     return bool(np.abs(goal.rot[0, :, 1] @ axes).max() > MIN_ALONG_COSINE)
 
 
-@phase("reach for the object")
+@phase("reach for the object", "approach")
 def _reach(
     view: WorldView, goal: HandGoals, joints: np.ndarray, opening: float, fine: bool
 ) -> Motion:
@@ -374,7 +374,7 @@ def _reach(
     return bool(np.linalg.norm(motion.tcp(view)[0] - goal.pos[0]) <= MAX_SHORT_M)
 
 
-@phase("lift")
+@phase("lift", "lift")
 def _lift(
     view: WorldView,
     obj: str,
@@ -408,7 +408,7 @@ def _lift(
     return _is_held(view, obj)
 
 
-@phase("hold the object at rest")
+@phase("hold the object at rest", "hold")
 def _keep(view: WorldView, obj: str) -> Motion:
     """Hold the object at rest until it is lost."""
     lost = 0
@@ -419,7 +419,7 @@ def _keep(view: WorldView, obj: str) -> Motion:
     return False
 
 
-@phase("draw the hand back")
+@phase("draw the hand back", "retract")
 def _let_go(view: WorldView) -> Motion:
     """Open the hand and draw it back and up, unless it is home already."""
     if motion.joint_gap(view, motion.rest_goal(view)) < HOME_RAD:

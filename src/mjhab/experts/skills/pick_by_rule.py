@@ -57,7 +57,7 @@ def pick(view: WorldView) -> Motion:
     )
 
 
-@phase("pick up by the rule")
+@phase("pick up by the rule", "approach")
 def pick_by_rule(view: WorldView) -> Motion:
     """Pick up the object of the active subtask by the rule; by a search on shelves and if the rule finds no grasp."""
     subtask = view.subtask

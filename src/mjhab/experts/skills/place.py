@@ -70,7 +70,7 @@ WAIT_STEPS = 60
 """Control steps of waiting once all release poses have failed."""
 
 
-@phase("place")
+@phase("place", "carry")
 def place(view: WorldView) -> Motion:
     """Place the held object at the goal of the active subtask and return to rest; pick it up again if it is lost."""
     subtask = view.subtask
@@ -88,7 +88,7 @@ def place(view: WorldView) -> Motion:
         yield from _rest(view)
 
 
-@phase("bring the object to its goal")
+@phase("bring the object to its goal", "carry")
 def _bring(view: WorldView, obj: str, goal: np.ndarray) -> Motion:
     """Place the held object at ``goal`` (3,) [m]. Returns whether the hand has released it."""
     search = _PlaceSearch(view, obj, goal)
@@ -171,7 +171,7 @@ class _PlaceSearch:
         return None
 
 
-@phase("wait with the object in the hand")
+@phase("wait with the object in the hand", "hold")
 def _wait(view: WorldView) -> Motion:
     """Hold still: what is in the way may move."""
     return (yield from motion.hold(view, WAIT_STEPS, gripper=motion.CLOSED))
@@ -186,7 +186,7 @@ def _worth(view: WorldView, found: Found) -> tuple[bool, float]:
     return placement.route.steps + after <= view.steps_left, placement.route.clearance
 
 
-@phase("rest beside the placed object")
+@phase("rest beside the placed object", "hold")
 def _rest(view: WorldView) -> Motion:
     """Stay at rest with an open hand while the object is at its goal. Returns when it has left it."""
     goal = motion.rest_goal(view)
@@ -259,7 +259,7 @@ def plan_place(
     return clearer(view, (found[0], goals, depth) if found else None, blocked)
 
 
-@phase("put the object down")
+@phase("put the object down", "place")
 def _put(
     view: WorldView, obj: str, placement: BasePlacement, goals: HandGoals, depth: float
 ) -> Motion:
@@ -301,16 +301,34 @@ def _put(
     yield from motion.move_tcp(view, down)
     until = wait_for(view, motion.is_quiet)
     yield from motion.still_tcp(view, pos, rot, gripper=closed, steps=2, until=until)
-    opening = motion.gripper_at(view.robot, let_go_width(view, obj, pos, rot))
+    return (yield from _release(view, obj, down, pre, joints[0]))
+
+
+@phase("let go of the object", "release")
+def _release(
+    view: WorldView, obj: str, at: motion.HandMove, above: np.ndarray, posture: np.ndarray
+) -> Motion:
+    """Open the fingers at the release pose ``at`` and draw the hand back. Returns whether the object is released.
+
+    Args:
+        view: world to act in.
+        obj: name of the object.
+        at: the motion that ended at the release pose.
+        above: (3,) tcp position above it, to which the hand goes if the object sticks to it.
+        posture: (J,) preferred posture on the way.
+    """
+    opening = motion.gripper_at(view.robot, let_go_width(view, obj, at.pos, at.rot))
     speed = away_speed(view)
     until = wait_for(view, motion.has_opened(opening))
-    yield from motion.still_tcp(view, pos, rot, gripper=opening, steps=5, until=until)
-    for back in (drawn_back(view, obj, pos, rot, joints[0]), pre):
+    yield from motion.still_tcp(
+        view, at.pos, at.rot, gripper=opening, steps=5, until=until
+    )
+    for back in (drawn_back(view, obj, at.pos, at.rot, posture), above):
         away = motion.HandMove(
             pos=back,
-            rot=rot,
+            rot=at.rot,
             gripper=opening,
-            rest=joints[0],
+            rest=posture,
             speed=speed,
             tolerance=0.02,
             max_steps=14,

@@ -49,7 +49,7 @@ def place(view: WorldView) -> Motion:
     )
 
 
-@phase("place by the rule")
+@phase("place by the rule", "carry")
 def place_by_rule(view: WorldView) -> Motion:
     """Place the held object at its goal by the rule; by a search on shelves and where the rule finds no base placement.
 

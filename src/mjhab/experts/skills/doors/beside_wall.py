@@ -47,7 +47,7 @@ ANGLE_STEP_RAD = 0.05
 """Motions are cached per angle of the door, rounded up to a multiple: it limits the number of searches."""
 
 
-@phase("reach past the edge of the door")
+@phase("reach past the edge of the door", "approach")
 def reach_past(view: WorldView, path: LinkPath) -> Motion:
     """Move the fingertips between a wall and the edge of the door that stands at it. Returns whether they arrived."""
     return (yield from straight_in(view, path, ENTRY))

@@ -55,7 +55,7 @@ PUSH_LEAD_RAD = 0.15
 """Largest angle of the hand's goal ahead of a door that is pushed, in addition to `PRESS_AHEAD_RAD`."""
 
 
-@phase("close the door")
+@phase("close the door", "push")
 def close_door(view: WorldView, link: JointedLink) -> Motion:
     """Close a hinged door: reach behind it and accelerate it along its arc, then retract the arm while it swings shut.
 
@@ -100,13 +100,13 @@ def from_outside(view: WorldView, link: JointedLink) -> LinkPath | None:
     )
 
 
-@phase("reach behind the door")
+@phase("reach behind the door", "approach")
 def _reach_behind(view: WorldView, path: LinkPath) -> Motion:
     """Move the hand in a straight line behind an open door. Returns whether it arrived."""
     return (yield from straight_in(view, path, ENTRY))
 
 
-@phase("push the door shut")
+@phase("push the door shut", "push")
 def _push_shut(
     view: WorldView, link: JointedLink, path: LinkPath, goal: float, throws: bool
 ) -> Motion:
@@ -148,7 +148,7 @@ def _push_shut(
     return False
 
 
-@phase("retract while the door swings shut")
+@phase("retract while the door swings shut", "retract")
 def _leave_swinging(view: WorldView, link: JointedLink) -> Motion:
     """Retract the arm while a released door swings shut. Returns False when the door comes to rest ajar."""
     last = np.inf

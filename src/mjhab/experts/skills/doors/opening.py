@@ -62,7 +62,7 @@ LOST_M = 0.06
 """Horizontal distance between hand and handle beyond which the hand has lost it."""
 
 
-@phase("open the door")
+@phase("open the door", "pull")
 def open_door(view: WorldView, link: JointedLink) -> Motion:
     """Open a hinged door: grasp the bar, follow its arc, release it, return to rest; again after a slip.
 
@@ -120,7 +120,7 @@ def _way_open(
     return path
 
 
-@phase("pull the door open")
+@phase("pull the door open", "pull")
 def _pull_open(view: WorldView, link: JointedLink, path: LinkPath, goal: float) -> Motion:
     """Move the hand, which holds the bar, and the base along a path until the door is open by ``goal`` [rad], or swings
     and is open enough.

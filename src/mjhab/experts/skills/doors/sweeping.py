@@ -53,7 +53,7 @@ SWEPT_M = 0.02
 """Distance from the end of a sweep at which the base has arrived."""
 
 
-@phase("sweep the door shut with the base")
+@phase("sweep the door shut with the base", "push")
 def sweep(view: WorldView, link: JointedLink) -> Motion:
     """Drive to the outside of an open door and push it shut with the arm at rest, in a straight line.
 

@@ -13,10 +13,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mjhab.core.errors import UsageError
+from mjhab.core.seeding import stream
 from mjhab.data.select.query import Filter
 from mjhab.data.select.until import Until
 from mjhab.data.store.places import episodes
-from mjhab.learning.batches import BatchSampler, shift_images, take_chunks
+from mjhab.learning.batches import (
+    BatchSampler,
+    shift_colours,
+    shift_images,
+    take_chunks,
+)
 from mjhab.learning.configs import InputConfig
 from mjhab.learning.demos import (
     load_demonstrations,
@@ -74,9 +80,9 @@ def test_demonstrations_without_images_make_chunks() -> None:
 def test_batches_mix_old_and_new_and_depend_on_seed_and_number_alone() -> None:
     sources = [demonstrations(seed) for seed in range(3)]
     sampler, again = (BatchSampler(sources, 40, 0.5, seed=3) for _ in range(2))
-    batch = sampler.batch(7, 4, 1, 1)
-    np.testing.assert_array_equal(batch.images, again.batch(7, 4, 1, 1).images)
-    assert (batch.vector != sampler.batch(8, 4, 1, 1).vector).any()
+    batch = sampler.batch(7, 4, InputConfig())
+    np.testing.assert_array_equal(batch.images, again.batch(7, 4, InputConfig()).images)
+    assert (batch.vector != sampler.batch(8, 4, InputConfig()).vector).any()
     rows = sampler.rows(7)
     assert rows[0][0] is sources[-1] and len(rows[0][1]) == 20
     assert sum(len(part) for _, part in rows) == 40
@@ -90,11 +96,28 @@ def test_batches_mix_old_and_new_and_depend_on_seed_and_number_alone() -> None:
     assert len(BatchSampler(sources[:1], 40, 0.5, 0).rows(0)[0][1]) == 40
 
 
+def test_colours_change_and_depth_stays() -> None:
+    inputs = InputConfig(cameras=("a",), images="rgbd", colour_shift=0.2, history=2)
+    random = np.random.default_rng(0)
+    images = random.integers(90, 140, (3, 8, 4, 4), dtype=np.uint8)
+    changed = shift_colours(images, inputs, stream(0, "colours", 0))
+    depth, colours = [0, 4], [1, 2, 3, 5, 6, 7]
+    np.testing.assert_array_equal(changed[:, depth], images[:, depth])
+    gains = changed[:, colours] / images[:, colours]
+    assert 0.6 < gains.min() < 0.95 and 1.05 < gains.max() < 1.5
+    # One change in all images of a sample, another in the next sample.
+    whole = gains.mean(axis=(2, 3))
+    np.testing.assert_allclose(whole[:, :3], whole[:, 3:], atol=0.01)
+    assert np.ptp(whole, axis=0).min() > 0.02
+    again = shift_colours(torch.as_tensor(images), inputs, stream(0, "colours", 0))
+    np.testing.assert_array_equal(again.numpy(), changed)
+
+
 def test_batches_on_a_device_are_those_of_numpy() -> None:
     sources = [demonstrations(seed) for seed in range(3)]
-    batch = BatchSampler(sources, 40, 0.5, seed=3).batch(7, 4, 2, 1)
+    batch = BatchSampler(sources, 40, 0.5, seed=3).batch(7, 4, InputConfig(history=2))
     there = [source.on(torch.device("cpu")) for source in sources]
-    same = BatchSampler(there, 40, 0.5, seed=3).batch(7, 4, 2, 1)
+    same = BatchSampler(there, 40, 0.5, seed=3).batch(7, 4, InputConfig(history=2))
     for name in ("vector", "images", "actions", "valid"):
         assert isinstance(getattr(same, name), torch.Tensor)
         np.testing.assert_array_equal(getattr(same, name).numpy(), getattr(batch, name))

@@ -24,7 +24,14 @@ from mjhab.envs import make
 from mjhab.experts import make_expert
 from mjhab.learning.batches import take_chunks
 from mjhab.learning.checkpoint import load_checkpoint
-from mjhab.learning.configs import PRESETS, InputConfig
+from mjhab.learning.configs import (
+    ACT,
+    BC,
+    DIFFUSION,
+    PRESETS,
+    InputConfig,
+    preset_of,
+)
 from mjhab.learning.demos import read_episode
 from mjhab.learning.observation.encoder import EncodedObs, ObservationEncoder
 from mjhab.learning.observation.parts import IMAGE_PARTS, VECTOR_PARTS, image_parts
@@ -34,6 +41,7 @@ from mjhab.learning.reinforcement.agent_encoder import AgentEncoder
 from mjhab.learning.reinforcement.configs import PRESETS as AGENT_PRESETS
 from mjhab.learning.runs.intervention import Intervention
 from mjhab.learning.shipped_kind import shipped
+from mjhab.learning.students.heads import check_student
 from mjhab.rollout.loop import rollout
 from mjhab.rollout.policy import Policy, RandomPolicy
 from tests.refusals import refused
@@ -67,6 +75,8 @@ def all_inputs() -> dict[str, InputConfig]:
         target_views=True,
         sentence=True,
     )
+    found["colours alone"] = InputConfig(images="rgb", target_views=True)
+    found["colours and depth"] = InputConfig(history=2, images="rgbd", target_views=True)
     found["views of the target alone"] = InputConfig(whole_views=False, target_views=True)
     small = {
         name: dataclasses.replace(inputs, image_size=SIZE if inputs.cameras else 0)
@@ -158,7 +168,7 @@ def watched(
         target=TARGET,
         home="builtin_m0_00",
         split="train",
-        obs_mode="depth+target_depth",
+        obs_mode="rgbd+target_depth+target_rgb",
         camera_size=SIZE,
         num_envs=WORLDS,
         threads=1,
@@ -210,7 +220,7 @@ def test_views_of_the_target_are_rendered_from_states_to_the_bit(
     out = tmp_path / "rendered.h5"
     request = RenderRequest(path.with_name("bare.h5"), out, ImageFormat())
     render(request, lambda _: env)
-    spec = policy.specs["views of the target alone"]
+    spec = policy.specs["colours and depth"]
     with open_shard(path) as drawn, open_shard(out) as rendered:
         for name in drawn.names:
             old, new = (
@@ -231,6 +241,29 @@ def test_a_shard_without_views_of_the_target_says_how_to_get_them(
         pytest.raises(UsageError, match="--render target_depth --camera-size 16"),
     ):
         read_episode(next(iter(shard)), spec, hold_steps=-1)
+
+
+def test_images_are_one_per_camera_view_and_content(
+    watched: tuple[Watching, Path, Any],
+) -> None:
+    policy, _, env = watched
+    spec = policy.specs["colours and depth"]
+    assert spec.image_channels == (1, 1, 1, 1, 3, 3, 3, 3)
+    outputs = [key.rpartition("/")[2] for key in spec.image_keys[::2]]
+    assert outputs == ["depth", "target_depth", "rgb", "target_rgb"]
+    spec.check_env(env)
+    seen = policy.seen["colours and depth"][-1][0]
+    assert seen.images.shape == (WORLDS, 2 * sum(spec.image_channels), SIZE, SIZE)
+    config = dataclasses.replace(preset_of("bc", "quick").student, inputs=spec.inputs)
+    for algorithm in (BC, DIFFUSION, ACT):
+        check_student(
+            dataclasses.replace(config, algorithm=algorithm, sampling_steps=2), spec
+        )
+
+
+def test_unknown_contents_of_images_are_refused() -> None:
+    with refused("images", "depht", said="depth"):
+        InputConfig(images="depht")
 
 
 def test_cameras_without_any_view_are_refused() -> None:

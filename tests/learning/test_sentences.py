@@ -17,7 +17,14 @@ from mjhab.data.store.places import episodes
 from mjhab.evaluation.resolve import PolicyOptions, resolve_policy
 from mjhab.learning.batches import BatchSampler
 from mjhab.learning.checkpoint import load_checkpoint, save_student
-from mjhab.learning.configs import ACT, BC, FLOW, student_from_plain, to_plain
+from mjhab.learning.configs import (
+    ACT,
+    BC,
+    FLOW,
+    InputConfig,
+    student_from_plain,
+    to_plain,
+)
 from mjhab.learning.demos import (
     Demonstrations,
     load_demonstrations,
@@ -259,7 +266,7 @@ def taught(algorithm: str, updates: int) -> StudentPolicy:
     trainer.restart_average()
     sampler = BatchSampler([data], 32, 1.0, 0)
     for step in range(updates):
-        trainer.update(Batch.of(sampler.batch(step, 4, 1, 0)))
+        trainer.update(Batch.of(sampler.batch(step, 4, InputConfig(shift=0))))
     return StudentPolicy(trainer.student.eval(), fake_env(4, told))
 
 

@@ -28,6 +28,7 @@ from mjhab.learning.configs import (
     HEADS,
     PRESETS,
     DaggerConfig,
+    InputConfig,
     NetworkConfig,
     OptimizerConfig,
     preset_of,
@@ -73,7 +74,9 @@ def trainer_of(algorithm: str = "bc", **changes: Any) -> Trainer:
 
 
 def batch(step: int = 0) -> Batch:
-    return Batch.of(BatchSampler([demonstrations()], 8, 1.0, 0).batch(step, 4, 1, 1))
+    return Batch.of(
+        BatchSampler([demonstrations()], 8, 1.0, 0).batch(step, 4, InputConfig())
+    )
 
 
 def loss_of(trainer: Trainer, one: Batch) -> float:

@@ -70,7 +70,8 @@ def views_at(env: Any, direction: list[float], length: float = 1.5) -> np.ndarra
     """Views (W, 32, 32) of a target in a direction of the frame of the head's camera."""
     pos, mat = env.observer.renderer.camera_poses(env.state, HEAD)
     target = pos[:, 0] + length * mat[:, 0] @ np.array(direction)
-    views = target_views(env.observer.renderer, env.state, env.homes, target, SIZE, HEAD)
+    looking = (env.observer.renderer, env.state, env.homes, target, SIZE, HEAD)
+    views = target_views(*looking)["target_depth"]
     assert views.shape == (2, 1, *SIZE) and views.dtype == np.uint8
     return views[:, 0]
 

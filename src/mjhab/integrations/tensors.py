@@ -6,7 +6,8 @@ from typing import Any
 
 import torch
 
-from mjhab.envs.observations.modes import TARGET_DEPTH, image_output
+from mjhab.core.conventions.images import COLOURS, TARGET_DEPTH
+from mjhab.envs.observations.modes import image_output
 
 MM_PER_METRE = 1000.0
 BYTE = 255.0
@@ -34,4 +35,4 @@ def _scaled(image: torch.Tensor, output: str) -> torch.Tensor:
     if output == "depth":
         # Equal to 1 - tanh(m), but without the cancellation that would cost far depths their digits.
         return 2.0 / (torch.exp(image * (2.0 / MM_PER_METRE)) + 1.0)
-    return image / BYTE if output in ("rgb", TARGET_DEPTH) else image
+    return image / BYTE if output in (*COLOURS, TARGET_DEPTH) else image

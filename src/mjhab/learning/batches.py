@@ -10,7 +10,10 @@ import numpy as np
 
 from mjhab.core.arrays import Array, as_like, count, namespace
 from mjhab.core.seeding import stream
+from mjhab.learning.configs import InputConfig
 from mjhab.learning.demos import Demonstrations
+from mjhab.learning.observation.depth import BYTE
+from mjhab.learning.observation.parts import image_channels
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,15 +86,19 @@ class BatchSampler:
                 drawn.append((source, source.usable[mine]))
         return [(source, rows) for source, rows in drawn if len(rows)]
 
-    def batch(self, step: int, chunk: int, history: int, shift: int) -> Chunks:
-        """Batch ``step``, with images shifted randomly by up to ``shift`` pixels."""
+    def batch(self, step: int, chunk: int, inputs: InputConfig) -> Chunks:
+        """Batch ``step``, with images that are changed randomly as the inputs of the student say."""
         parts = [
-            take_chunks(source, rows, chunk, history) for source, rows in self.rows(step)
+            take_chunks(source, rows, chunk, inputs.history)
+            for source, rows in self.rows(step)
         ]
         xp = namespace(parts[0].vector)
         images = xp.concat([part.images for part in parts])
-        if shift and math.prod(images.shape):
-            images = shift_images(images, shift, stream(self._seed, "shift", step))
+        if inputs.shift and math.prod(images.shape):
+            images = shift_images(images, inputs.shift, stream(self._seed, "shift", step))
+        if inputs.colour_shift:
+            random = stream(self._seed, "colours", step)
+            images = shift_colours(images, inputs, random)
         return Chunks(
             xp.concat([part.vector for part in parts]),
             images,
@@ -116,6 +123,28 @@ def shift_images(images: Array, most: int, random: np.random.Generator) -> Array
         rows[:, None, :, None],
         columns[:, None, None, :],
     ]
+
+
+def shift_colours(
+    images: Array, inputs: InputConfig, random: np.random.Generator
+) -> Array:
+    """Images (B, history * C, H, W) with other colours, the same change in all images of a sample.
+
+    Light changes so: its brightness, and its colour. What else the images show, as depth, stays.
+    """
+    most = inputs.colour_shift
+    brightness, *tint = 1.0 + random.uniform(-most, most, (4, len(images)))
+    unchanged = np.ones(len(images))
+    gains = [
+        gain
+        for channels in image_channels(inputs)
+        for gain in (
+            [brightness * part for part in tint] if channels > 1 else [unchanged]
+        )
+    ] * inputs.history
+    xp = namespace(images)
+    gain = as_like(np.stack(gains, axis=1)[..., None, None], images, xp.float32)
+    return xp.astype(xp.clip(xp.round(images * gain), 0, BYTE), xp.uint8)
 
 
 def _shift_on_host(images: np.ndarray, most: int, offsets: np.ndarray) -> np.ndarray:

@@ -12,6 +12,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Annotated, Any, TypeVar
 
+from mjhab.core.conventions.images import RGB
 from mjhab.core.errors import UsageError, shown, unknown_name, wrong_value
 from mjhab.core.typed.bounds import Bound
 from mjhab.core.typed.checks import check, check_between
@@ -27,6 +28,10 @@ DIFFUSION = "diffusion"
 DAGGER = "dagger"
 GAUSSIAN = "gaussian"
 GAUSSIAN_ACTIONS = "gaussian_actions"
+DEPTH = "depth"
+RGBD = "rgbd"
+IMAGE_CONTENTS = {DEPTH: (DEPTH,), RGB: (RGB,), RGBD: (DEPTH, RGB)}
+"""What images of a student can show."""
 HEADS = (BC, FLOW, ACT, DIFFUSION, GAUSSIAN, GAUSSIAN_ACTIONS)
 """Algorithms that map an observation to a chunk of actions."""
 
@@ -35,8 +40,9 @@ HEADS = (BC, FLOW, ACT, DIFFUSION, GAUSSIAN, GAUSSIAN_ACTIONS)
 class InputConfig:
     """Inputs of a student. Besides these it always receives the environment's state vector.
 
-    cameras, image_size: square depth images, by default of the cameras of the default robot, and their side [px]; no
+    cameras, image_size: square images, by default of the cameras of the default robot, and their side [px]; no
     cameras for the state only.
+    images: what they show, one of IMAGE_CONTENTS: "depth", "rgb" (colours alone) or "rgbd".
     whole_views, target_views: images of the cameras as they are, and views from their places that are turned to the
     target of the active subtask and narrowed to it, of the same size, see `render.target_views`.
     history: number of observations, the current one included. stack_state: whether the history contains the state;
@@ -52,10 +58,13 @@ class InputConfig:
     sentence: the instruction of the active subtask as a bag of words, see `observation.sentences.encode_sentence`.
     normalize: normalize to mean 0 and standard deviation 1 with the statistics of the first demonstrations.
     shift: largest random shift of training images [px].
+    colour_shift: largest random change of the brightness of training images, and of each of their colours [share]:
+    each channel of an image is multiplied by one number from 1 - colour_shift to 1 + colour_shift, twice.
     """
 
     cameras: Annotated[tuple[str, ...], Bound(empty=True)] = robot_named().camera_names
     image_size: int = 32
+    images: str = DEPTH
     history: int = 1
     stack_state: bool = True
     previous_action: bool = True
@@ -68,8 +77,11 @@ class InputConfig:
     sentence: bool = False
     normalize: bool = True
     shift: FromZero = 1
+    colour_shift: Annotated[float, Bound(0.0, 0.9)] = 0.0
 
     def __post_init__(self) -> None:
+        if self.images not in IMAGE_CONTENTS:
+            raise unknown_name("images", self.images, IMAGE_CONTENTS)
         if self.cameras and not (self.whole_views or self.target_views):
             raise wrong_value(
                 "inputs.cameras",

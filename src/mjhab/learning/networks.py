@@ -203,8 +203,9 @@ class PoolingEncoder(nn.Module):
 class Encoder(nn.Module):
     """Encodes a student's observations: features per camera, and the normalized vector.
 
-    ``forward`` takes vector (B, history * D) and images (B, history * C, H, W) uint8. It returns one tensor
-    (B, image_features) per camera, and the normalized vector (B, vector_width).
+    ``forward`` takes vector (B, history * D) and images (B, history * C, H, W) uint8, whose C channels belong to
+    ``cameras`` images. It returns one tensor (B, image_features) per image, and the normalized vector
+    (B, vector_width).
     """
 
     def __init__(self, config: StudentConfig, layout: ObservationSpec) -> None:
@@ -212,19 +213,20 @@ class Encoder(nn.Module):
         inputs = config.inputs
         network = config.network
         self.history = inputs.history
-        self.cameras = len(layout.image_keys)
+        self.channels = layout.image_channels
+        self.cameras = len(self.channels)
         self.normalizer = Normalizer(
             layout.width, MOST_SPREADS if inputs.normalize else math.inf
         )
         build = CAMERA_ENCODERS.get(network.encoder, CameraEncoder)
         self.encoders = nn.ModuleList(
             build(
-                inputs.history,
+                inputs.history * channels,
                 inputs.image_size,
                 network.channels,
                 network.image_features,
             )
-            for _ in range(self.cameras)
+            for channels in self.channels
         )
         self.stack_state = inputs.stack_state
         self.vector_width = (inputs.history if inputs.stack_state else 1) * layout.width
@@ -251,9 +253,11 @@ class Encoder(nn.Module):
         normalized = self.normalizer(split).flatten(1)
         if not self.cameras:
             return [], normalized
-        seen = images.float().div_(255.0).unflatten(1, (self.history, self.cameras))
+        seen = images.float().div_(255.0).unflatten(1, (self.history, -1))
+        split = seen.split(self.channels, dim=2)
         features = [
-            encoder(seen[:, :, camera]) for camera, encoder in enumerate(self.encoders)
+            encoder(image.flatten(1, 2))
+            for encoder, image in zip(self.encoders, split, strict=True)
         ]
         return features, normalized
 

@@ -1,4 +1,4 @@
-"""Views from the places of a robot's cameras, turned to a target and narrowed to it, as depth relative to its distance.
+"""Views from the places of a robot's cameras, turned to a target and narrowed to it: relative depth, and colours.
 
 A handle of 2 cm is a pixel of a whole image of 32 px, and a few of 255 levels of its depth; here it is a fifth of the
 image and a quarter of the levels. Such a view shows nothing that the robot's camera does not see from the same place:
@@ -11,6 +11,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from mjhab.core.conventions.images import COLOURS, RGB, TARGET_DEPTH, TARGET_RGB
 from mjhab.render.home_scene import (
     ROBOT_LEVEL_ERROR,
     BodyPoses,
@@ -30,6 +31,8 @@ UNSEEN = 0
 """Byte of what is not seen; what is seen has at least 1."""
 NEAREST_M = 0.05
 """A target nearer than this to the camera counts as outside of its image."""
+_DRAWN = {TARGET_DEPTH: "depth", TARGET_RGB: RGB}
+"""What is drawn for an output."""
 
 
 def target_views(
@@ -39,7 +42,8 @@ def target_views(
     target: np.ndarray,
     size: tuple[int, int],
     cameras: Sequence[str],
-) -> np.ndarray:
+    outputs: Sequence[str] = (TARGET_DEPTH,),
+) -> dict[str, np.ndarray]:
     """Draw the views of all worlds and cameras.
 
     Args:
@@ -49,12 +53,18 @@ def target_views(
         target: (W, 3) in the world [m].
         size: (height, width) of the views, and of the robot's images beside them [px].
         cameras: names of C robot cameras.
+        outputs: any of TARGET_OUTPUTS.
 
     Returns:
-        (W, C, height, width) uint8, see `relative_bytes`; UNSEEN where the robot's camera sees nothing.
+        By output "target_depth" (W, C, height, width), see `relative_bytes`, and "target_rgb" (W, C, height, width, 3),
+        both uint8; UNSEEN where the robot's camera sees nothing.
     """
     height, width = size
-    views = np.full((len(homes), len(cameras), *size), UNSEEN, np.uint8)
+    shape = (len(homes), len(cameras), *size)
+    views = {
+        output: np.full((*shape, 3) if output in COLOURS else shape, UNSEEN, np.uint8)
+        for output in outputs
+    }
     pos, mat = renderer.camera_poses(state, cameras)
     pos, mat = np.asarray(pos, np.float64), np.asarray(mat, np.float64)
     to_target = target[:, None] - pos
@@ -68,19 +78,27 @@ def target_views(
         return views
     eye, own = pos[worlds, columns], mat[worlds, columns]
     look, distance = turned(eye, own, target[worlds])
-    drawn = renderer.rasterizer.render(
+    drawn = renderer.render(
         renderer.home_numbers(homes)[worlds],
         state.body_pos[worlds],
         state.body_mat[worlds],
         Cameras(eye[:, None], look[:, None], FOV, width, height, ROBOT_LEVEL_ERROR),
-        ("depth",),
-    )["depth"][:, 0]
+        tuple(_DRAWN[output] for output in outputs),
+    )
     # Columns of ``look`` are axes in the world; those of the relative rotation are axes in the robot's camera.
     relative = np.stack([_in_frame(own, look[:, :, k]) for k in range(3)], axis=2)
     pixels = _sums(relative[:, None, None], rays(size)[None])
     known = in_image(pixels, fovy[worlds, columns][:, None, None], aspect)
-    told = relative_bytes(drawn, distance)
-    views[worlds, columns] = np.where(known, told, np.uint8(UNSEEN))
+    for output in outputs:
+        image = drawn[_DRAWN[output]][:, 0]
+        if output == TARGET_DEPTH:
+            views[output][worlds, columns] = np.where(
+                known, relative_bytes(image, distance), np.uint8(UNSEEN)
+            )
+        else:
+            views[output][worlds, columns] = np.where(
+                known[..., None], image, np.uint8(UNSEEN)
+            )
     return views
 
 

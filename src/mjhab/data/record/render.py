@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from mjhab.core.conventions.images import RGB, TARGET_OUTPUTS
 from mjhab.core.errors import UsageError, fault, wrong_value
 from mjhab.core.version import __version__
 from mjhab.data.record.batches import MakeEnv, batches
@@ -29,8 +30,6 @@ from mjhab.data.store.shard import ShardWriter
 
 FOLLOW = "follow"
 """Name of a camera that follows the robot from behind."""
-TARGET_DEPTH = "target_depth"
-"""Image output that needs the targets of the episode, see `targets.targets_in_base`."""
 _IMAGE = "sensor_data/"
 
 
@@ -179,7 +178,8 @@ def _draw(
     files: dict[str, list[bytes]] = {}
     rows: dict[str, list[np.ndarray]] = {}
     side = env.observer.size
-    target = targets_in_base(episode) if TARGET_DEPTH in env.observer.outputs else None
+    looks = {*TARGET_OUTPUTS} & {*env.observer.outputs}
+    target = targets_in_base(episode) if looks else None
     for start in range(0, len(qpos), env.num_envs):
         steps = np.minimum(np.arange(start, start + env.num_envs), len(qpos) - 1)
         worlds = list(range(min(env.num_envs, len(qpos) - start)))
@@ -204,8 +204,8 @@ def _draw(
                 picture = env.observer.renderer.follow_view(
                     state, home, w, side[1], side[0]
                 )
-                files.setdefault(f"{FOLLOW}/rgb", []).append(
-                    encode(picture, "rgb", images)
+                files.setdefault(f"{FOLLOW}/{RGB}", []).append(
+                    encode(picture, RGB, images)
                 )
     arrays = {path: np.stack(values) for path, values in rows.items()}
     return arrays | stored_frames(files)

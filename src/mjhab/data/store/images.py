@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from PIL import Image
 
+from mjhab.core.conventions.images import COLOURS
 from mjhab.core.errors import unknown_name
 from mjhab.core.files.reading import reason
 from mjhab.core.typed.checks import check_between
@@ -22,8 +23,8 @@ MAX_SIDE = 4096
 MAX_FRAME_BYTES = 4 * MAX_SIDE**2
 """Largest encoded picture that is read [bytes]."""
 _INTEGER_MODES = ("I;16", "I")
-_MODES = {"rgb": ("RGB",)}
-"""Pillow's names of the pixels that ``encode`` writes, by output; others than rgb have integers of 16 bits."""
+_MODES = dict.fromkeys(COLOURS, ("RGB",))
+"""Pillow's names of the pixels that ``encode`` writes, by output; others than colours have integers of 16 bits."""
 _PNG_LEVEL = 4
 _MOST = int(np.iinfo(np.uint16).max)
 
@@ -42,13 +43,13 @@ class ImageFormat:
 
 
 def encode(image: np.ndarray, output: str, form: ImageFormat) -> bytes:
-    """Encode one frame: rgb (H, W, 3) uint8, or another output (H, W, 1), integers from 0 to 65,535.
+    """Encode one frame: colours (H, W, 3) uint8, or another output (H, W, 1), integers from 0 to 65,535.
 
     Raises:
         ValueError: a value is out of range.
     """
     file = io.BytesIO()
-    if output == "rgb":
+    if output in COLOURS:
         picture = Image.fromarray(image)
         if form.rgb == "jpeg":
             picture.save(file, "JPEG", quality=form.quality, subsampling=0)
@@ -76,14 +77,14 @@ def stored_frames(files: Mapping[str, Sequence[bytes]]) -> dict[str, np.ndarray]
 
 
 def decode(data: bytes, output: str) -> np.ndarray:
-    """Decode a frame of ``encode``: rgb (H, W, 3) uint8, depth (H, W, 1) int16, others (H, W, 1) int32.
+    """Decode a frame of ``encode``: colours (H, W, 3) uint8, depth (H, W, 1) int16, others (H, W, 1) int32.
 
     Raises:
         ValueError: the bytes are no such picture.
     """
     with _telling(), _opened(data, output) as picture:
         image = np.asarray(picture)
-    if output == "rgb":
+    if output in COLOURS:
         return image
     return image.astype(np.int16 if output == "depth" else np.int32)[..., None]
 
@@ -119,7 +120,7 @@ def _telling() -> Iterator[None]:
 def _opened(data: bytes, output: str) -> Image.Image:
     """Open a picture, whose header alone is read; refuse other formats, kinds of pixels, and sizes of no camera."""
     picture = Image.open(
-        io.BytesIO(data), formats=("PNG", "JPEG") if output == "rgb" else ("PNG",)
+        io.BytesIO(data), formats=("PNG", "JPEG") if output in COLOURS else ("PNG",)
     )
     wide, high = picture.size
     if max(wide, high) > MAX_SIDE:

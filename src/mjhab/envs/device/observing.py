@@ -10,7 +10,6 @@ from mjhab.core.errors import UsageError
 from mjhab.core.joints import BASE
 from mjhab.envs.observations.cameras import intrinsic_matrix
 from mjhab.envs.observations.entry import CameraInputs
-from mjhab.envs.observations.modes import TARGET_DEPTH
 from mjhab.envs.observations.state import state_observation
 from mjhab.envs.parts.observing import ObservedRows
 from mjhab.envs.parts.plan_tables import Focus
@@ -43,9 +42,9 @@ class DeviceObserver(ObservedRows):
         size: int | Sequence[int],
     ) -> None:
         super().__init__(sim.layout.robot, mode, cameras, size)
-        if TARGET_DEPTH in self.outputs:
+        if self.target_outputs:
             raise UsageError(
-                f"obs_mode {mode!r}: backend 'warp' draws no {TARGET_DEPTH}; take backend 'cpu'.",
+                f"obs_mode {mode!r}: backend 'warp' draws no {' and '.join(self.target_outputs)}; take backend 'cpu'.",
                 option="obs_mode",
                 given=mode,
             )

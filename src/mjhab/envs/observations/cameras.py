@@ -8,12 +8,18 @@ from functools import partial
 import numpy as np
 
 from mjhab.core.arrays import Array, constant, count, device_of, empty, namespace, zeros
+from mjhab.core.conventions.images import (
+    COLOURS,
+    RGB,
+    TARGET_DEPTH,
+    TARGET_RGB,
+    channels_of,
+)
 from mjhab.core.joints import BASE_XY, BASE_YAW
 from mjhab.envs.observations.entry import CameraInputs, ObsEntry
 from mjhab.envs.observations.modes import (
     CAMERA_OUTPUTS,
     POINTCLOUD,
-    TARGET_DEPTH,
     camera_key,
     param_key,
 )
@@ -62,10 +68,17 @@ def _image_row(index: int, camera: str, output: str, size: tuple[int, int]) -> O
     compute = partial(_image, index=index, output=output)
     key = camera_key(camera, output)
     frame = "image, rows from the top"
-    if output == "rgb":
+    view = "view of 0.5 rad, rows from the top"
+    if output == RGB:
         return ObsEntry(
             key, (*size, 3), "sRGB", frame, compute, "colour", np.uint8, 0, 255
         )
+    if output == TARGET_RGB:
+        meaning = (
+            "view from the camera's place to the target of the active subtask: colour, 0 where the camera "
+            "sees nothing"
+        )
+        return ObsEntry(key, (*size, 3), "sRGB", view, compute, meaning, np.uint8, 0, 255)
     if output == "depth":
         meaning = "distance along the optical axis, 0 where nothing is hit"
         return ObsEntry(
@@ -77,7 +90,6 @@ def _image_row(index: int, camera: str, output: str, size: tuple[int, int]) -> O
             "quarter of it nearer and farther, 0 where the camera sees nothing"
         )
         unit = "1/508 of the distance"
-        view = "view of 0.5 rad, rows from the top"
         return ObsEntry(key, (*size, 1), unit, view, compute, meaning, np.uint8, 0, 255)
     meaning = "segmentation id, see `segmentation_names`; 0 where nothing is hit"
     most = np.iinfo(np.int32).max
@@ -169,7 +181,7 @@ def _cloud_rows(robot: Robot, points: int) -> list[ObsEntry]:
 
 def _image(views: CameraInputs, index: int, output: str) -> Array:
     images = views.images[output]
-    if output == "rgb":
+    if output in COLOURS:
         return images[:, index]
     if output in ("seg", TARGET_DEPTH):
         return images[:, index, ..., None]
@@ -264,4 +276,4 @@ def _cloud_xyz(views: CameraInputs) -> Array:
 
 def _cloud_image(views: CameraInputs, output: str) -> Array:
     image = views.images[output]
-    return image.reshape(len(image), -1, 3 if output == "rgb" else 1)
+    return image.reshape(len(image), -1, channels_of(output))

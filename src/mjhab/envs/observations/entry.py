@@ -41,7 +41,7 @@ class CameraInputs:
     Attributes:
         robot: the robot with the cameras.
         images: "depth" (W, C, h, w) float32 [m], 0 where nothing is hit; "rgb" (W, C, h, w, 3) uint8; "seg"
-            (W, C, h, w) int32; "target_depth" (W, C, h, w) uint8.
+            (W, C, h, w) int32; "target_depth" (W, C, h, w) and "target_rgb" (W, C, h, w, 3) uint8.
         pos: (W, C, 3) positions of the cameras in the world [m].
         mat: (W, C, 3, 3) rotations of the cameras in the world, with x right, y up, z backwards.
         base: (W, 3) x, y [m], yaw [rad] of the base in the world.

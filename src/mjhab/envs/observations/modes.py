@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from mjhab.config.env import EnvConfig
+from mjhab.core.conventions.images import TARGET_OUTPUTS
 from mjhab.core.errors import shown, unknown_name, wrong_value
 from mjhab.core.typed.bounds import bound_of
 from mjhab.robots.robot import Robot
@@ -15,9 +16,7 @@ STATE_KEY = "state"
 PROPRIOCEPTION = "proprioception"
 DRAWN_OUTPUTS = ("depth", "rgb", "seg")
 """Images of the robot's cameras that a renderer draws."""
-TARGET_DEPTH = "target_depth"
-"""Depth around the target of the active subtask relative to its distance, see `render.target_views`."""
-CAMERA_OUTPUTS = (*DRAWN_OUTPUTS, TARGET_DEPTH)
+CAMERA_OUTPUTS = (*DRAWN_OUTPUTS, *TARGET_OUTPUTS)
 POINTCLOUD = "pointcloud"
 OBS_MODES: dict[str, tuple[str, ...]] = {
     "state": (),
@@ -26,7 +25,7 @@ OBS_MODES: dict[str, tuple[str, ...]] = {
     "rgb": ("rgb",),
     "rgbd": ("depth", "rgb"),
     "seg": ("seg",),
-    TARGET_DEPTH: (TARGET_DEPTH,),
+    **{output: (output,) for output in TARGET_OUTPUTS},
     POINTCLOUD: (POINTCLOUD,),
 }
 """Observation modes and the images that each adds to the state. Modes can be combined by "+", as in "rgbd+seg".

@@ -19,6 +19,7 @@ PIXEL_BYTES = {
     "depth": 2,
     "seg": 2,
     "target_depth": 1,
+    "target_rgb": 3,
     "pointcloud": 12 + 3 + 2,
 }
 """Per pixel and camera of observations: uint8 colour, int16 millimetres, int16 ids, bytes; xyz float32, colour, id."""

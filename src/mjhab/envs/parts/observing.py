@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mjhab.core.arrays import map_record
+from mjhab.core.conventions.images import TARGET_OUTPUTS
 from mjhab.core.errors import UsageError
 from mjhab.core.joints import BASE, BASE_X, BASE_Y, BASE_YAW
 from mjhab.envs.observations.cameras import camera_table, intrinsic_matrix
@@ -16,7 +17,6 @@ from mjhab.envs.observations.modes import (
     DRAWN_OUTPUTS,
     POINTCLOUD,
     PROPRIOCEPTION,
-    TARGET_DEPTH,
     camera_names,
     image_size,
     mode_outputs,
@@ -60,6 +60,7 @@ class ObservedRows:
         size: (height, width) of the images [px].
         state_rows: rows of ``state``.
         camera_rows: rows that need images.
+        target_outputs: those of `outputs` that are views of the target.
         table: all rows.
         single_space: observation space of one world.
 
@@ -82,9 +83,12 @@ class ObservedRows:
             for name in DRAWN_OUTPUTS
             if name in self.outputs or POINTCLOUD in self.outputs
         )
-        if TARGET_DEPTH in self.outputs and own_state_only(mode):
+        self.target_outputs = tuple(
+            name for name in TARGET_OUTPUTS if name in self.outputs
+        )
+        if self.target_outputs and own_state_only(mode):
             raise UsageError(
-                f"obs_mode {mode!r}: {TARGET_DEPTH} looks at the target of the subtask, which "
+                f"obs_mode {mode!r}: {self.target_outputs[0]} looks at the target of the subtask, which "
                 f"{PROPRIOCEPTION} hides; leave out one of them.",
                 option="obs_mode",
                 given=mode,
@@ -223,7 +227,7 @@ class Observer(ObservedRows):
         )
         if self.outputs:
             target = None
-            if TARGET_DEPTH in self.outputs:
+            if self.target_outputs:
                 target = target_in_base(obs[OBJECT_KEY], obs[GOAL_KEY], focus.kind)
             if known is None and self._drawn is not None:
                 known = self._drawn.images
@@ -291,14 +295,13 @@ class Observer(ObservedRows):
             images = self.renderer.robot_views(
                 state, homes, self.size, (*self.drawn, *more), self.cameras, changed
             )
-        if TARGET_DEPTH in self.outputs:
+        if self.target_outputs:
             assert target is not None
             place = _in_world(state.robot_q[:, BASE], self.robot.base_height, target)
             from mjhab.render.target_views import target_views  # loads numba
 
-            images[TARGET_DEPTH] = target_views(
-                self.renderer, state, homes, place, self.size, self.cameras
-            )
+            looking = (self.renderer, state, homes, place, self.size, self.cameras)
+            images |= target_views(*looking, self.target_outputs)
         if perturber is not None:
             fovy = self.renderer.fields_of_view(self.cameras)
             seen = (pos, mat, np.broadcast_to(fovy, pos.shape[:2]))

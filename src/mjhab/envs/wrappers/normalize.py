@@ -9,6 +9,7 @@ import numpy as np
 from gymnasium import spaces
 from gymnasium.vector import VectorEnv
 
+from mjhab.core.conventions.images import COLOURS
 from mjhab.core.errors import unknown_name
 from mjhab.core.typed.checks import check
 from mjhab.envs.observations.cameras import DEPTH_MAX, DEPTH_SCALE
@@ -85,9 +86,11 @@ class NormalizeImages(ObservationMap):
         self._depth = depth
         self._rgb = rgb
         self._clip = float(depth_clip)
-        curves = {"depth": depth, "rgb": rgb, "seg": "raw", "target_depth": "raw"}
+        curves = {"depth": depth, **dict.fromkeys(COLOURS, rgb)}
         leaves = require_images(env, "NormalizeImages", flat=True)
-        self._leaves = tuple(leaf for leaf in leaves if curves[leaf.output] != "raw")
+        self._leaves = tuple(
+            leaf for leaf in leaves if curves.get(leaf.output, "raw") != "raw"
+        )
         super().__init__(env, self._space(dict_space(env, "NormalizeImages")))
 
     def observation(self, obs: dict[str, Any]) -> dict[str, Any]:

@@ -248,7 +248,7 @@ class LiveSource:
         return self.aims
 
     def image(self, camera: str, output: str) -> Array:
-        return self.obs[f"{IMAGE_KEY_PREFIX}{camera}/{output}"][..., 0]
+        return self.obs[f"{IMAGE_KEY_PREFIX}{camera}/{output}"]
 
 
 def _described(env: Any, world: int) -> Mapping[str, Any]:

@@ -17,11 +17,12 @@ from typing import Protocol
 import numpy as np
 
 from mjhab.core.arrays import Array, namespace
+from mjhab.core.conventions.images import RGB, TARGET_DEPTH, TARGET_RGB, channels_of
 from mjhab.core.conventions.names import Conventions
 from mjhab.core.errors import UsageError, unknown_name
 from mjhab.core.joints import BASE_X, BASE_Y, BASE_YAW
 from mjhab.core.rotations import quat_rotate_inv
-from mjhab.learning.configs import InputConfig
+from mjhab.learning.configs import DEPTH, IMAGE_CONTENTS, InputConfig
 from mjhab.learning.observation.depth import nearness
 from mjhab.learning.observation.sentences import SENTENCE_WIDTH, encode_sentence
 
@@ -96,7 +97,7 @@ class StepSource(Protocol):
         ...
 
     def image(self, camera: str, output: str) -> Array:
-        """Images (N, height, width) of an output of the environment."""
+        """Images (N, height, width, channels) of an output of the environment."""
         ...
 
 
@@ -275,39 +276,48 @@ class Sentence(ConditioningPart):
 
 
 class ImagePart(ABC):
-    """A kind of images that a policy sees, one channel of bytes of every camera."""
+    """A kind of images that a policy sees, one image of bytes of every camera."""
 
-    name: str
-    """Field of `InputConfig` that switches the part on."""
+    views: str
+    """Field of `InputConfig` that switches its kind of views on."""
+    contents: str
+    """What of `InputConfig.images` it is: "depth" or "rgb"."""
     output: str
     """Image output of the environment, see `envs.observations.modes`."""
     unit: str
 
     def used(self, inputs: InputConfig) -> bool:
         """Whether a policy with these inputs has the part."""
-        return bool(inputs.cameras and inputs.image_size and getattr(inputs, self.name))
+        return bool(
+            inputs.cameras
+            and inputs.image_size
+            and self.contents in IMAGE_CONTENTS[inputs.images]
+            and getattr(inputs, self.views)
+        )
 
     def keys(self, inputs: InputConfig) -> tuple[str, ...]:
-        """Keys of the images in the observation of an environment, one per channel."""
+        """Keys of the images in the observation of an environment, one per camera."""
         return tuple(
             f"{IMAGE_KEY_PREFIX}{camera}/{self.output}" for camera in inputs.cameras
         )
 
     @abstractmethod
     def byte(self, image: Array) -> Array:
-        """Images (N, height, width) of the environment as bytes."""
+        """Images (N, height, width, channels) of the environment as bytes."""
 
     def encode(self, source: StepSource, spec: InputSpec) -> list[Array]:
-        """Images (N, height, width) uint8 of every camera."""
-        return [
+        """Channels (N, height, width) uint8 of every camera's image, of one camera after the other."""
+        images = [
             self.byte(source.image(camera, self.output)) for camera in spec.inputs.cameras
         ]
+        return [image[..., k] for image in images for k in range(image.shape[-1])]
 
 
 class WholeViews(ImagePart):
     """Depth images of the cameras as nearness: 255 at the lens, 0 far away (mshab/agents/bc)."""
 
-    name = "whole_views"
+    views = "whole_views"
+    contents = DEPTH
     output = "depth"
     unit = "255 (1 - tanh(depth / 1 m))"
 
@@ -316,19 +326,39 @@ class WholeViews(ImagePart):
 
 
 class TargetViews(ImagePart):
-    """Views of the target of the active subtask, see `render.target_views`.
+    """Depth around the target of the active subtask, see `render.target_views`.
 
     Place and direction of a view are functions of the state, and a camera of the robot sees its pixels, so it is no
     privileged information.
     """
 
-    name = "target_views"
-    output = "target_depth"
+    views = "target_views"
+    contents = DEPTH
+    output = TARGET_DEPTH
     unit = "128 at the target's distance, 1 and 255 a quarter of it farther and nearer, 0 unseen"
 
     def byte(self, image: Array) -> Array:
         xp = namespace(image)
         return xp.astype(image, xp.uint8, copy=False)
+
+
+class WholeColours(ImagePart):
+    """Colour images of the cameras."""
+
+    views = "whole_views"
+    contents = RGB
+    output = RGB
+    unit = "sRGB"
+
+    def byte(self, image: Array) -> Array:
+        return image
+
+
+class TargetColours(WholeColours):
+    """Colours around the target of the active subtask, see `TargetViews`."""
+
+    views = "target_views"
+    output = TARGET_RGB
 
 
 VECTOR_PARTS: tuple[VectorPart, ...] = (
@@ -341,7 +371,12 @@ VECTOR_PARTS: tuple[VectorPart, ...] = (
     Sentence(),
 )
 """The parts of a vector in their order, which checkpoints depend on: the normalized ones first."""
-IMAGE_PARTS: tuple[ImagePart, ...] = (WholeViews(), TargetViews())
+IMAGE_PARTS: tuple[ImagePart, ...] = (
+    WholeViews(),
+    TargetViews(),
+    WholeColours(),
+    TargetColours(),
+)
 """The parts of the images in the order of their channels, which checkpoints depend on."""
 
 
@@ -356,8 +391,15 @@ def image_parts(inputs: InputConfig) -> tuple[ImagePart, ...]:
 
 
 def image_keys(inputs: InputConfig) -> tuple[str, ...]:
-    """Keys of its images in the observation of an environment, one per channel."""
+    """Keys of its images in the observation of an environment."""
     return tuple(key for part in image_parts(inputs) for key in part.keys(inputs))
+
+
+def image_channels(inputs: InputConfig) -> tuple[int, ...]:
+    """Number of channels of each of `image_keys`."""
+    return tuple(
+        channels_of(part.output) for part in image_parts(inputs) for _ in inputs.cameras
+    )
 
 
 def conditioning_parts(inputs: InputConfig) -> tuple[ConditioningPart, ...]:

@@ -116,10 +116,8 @@ class RecordedSource:
         files = episode.array(f"images/{camera}/{output}/bytes").tobytes()
         ends = episode.array(f"images/{camera}/{output}/ends").tolist()
         starts = [0, *ends]
-        frames = [
-            decode(files[starts[t] : ends[t]], output)[..., 0] for t in range(self._steps)
-        ]
-        height, width = frames[0].shape
+        frames = [decode(files[starts[t] : ends[t]], output) for t in range(self._steps)]
+        height, width = frames[0].shape[:2]
         size = self._spec.inputs.image_size
         if (height, width) != (size, size):
             raise _no_images(

@@ -14,6 +14,7 @@ from mjhab.learning.configs import InputConfig
 from mjhab.learning.observation.parts import (
     Entry,
     conditioning_parts,
+    image_channels,
     image_keys,
     image_parts,
     parts_of,
@@ -105,6 +106,11 @@ class ObservationSpec:
         """Keys of the images in the observation."""
         return image_keys(self.inputs)
 
+    @property
+    def image_channels(self) -> tuple[int, ...]:
+        """Number of channels of each of these images."""
+        return image_channels(self.inputs)
+
     def to_plain(self) -> dict[str, Any]:
         """The layout as JSON data, without the inputs, which are part of the student's config."""
         values = asdict(self)
@@ -147,12 +153,12 @@ class ObservationSpec:
         # Other stationary joint groups than in training are allowed, like another profile: their actions are ignored.
         control = (*control_of(env)[:2], *self.control[2:])
         wrong = compare_specs(self, state_of(env), actions_of(env), control)
-        size = (pool * self.inputs.image_size, pool * self.inputs.image_size, 1)
+        size = (pool * self.inputs.image_size, pool * self.inputs.image_size)
         shapes = {entry.key: tuple(entry.shape) for entry in env.observer.table}
         for key in self.image_keys:
             if key not in shapes:
                 wrong.append(f"{key} is missing")
-            elif shapes[key] != size:
+            elif shapes[key][:2] != size:
                 wrong.append(
                     f"{key} is {shapes[key][1]}x{shapes[key][0]} px instead of {size[1]}x{size[0]}"
                 )

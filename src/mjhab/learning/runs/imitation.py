@@ -314,9 +314,7 @@ class ImitationSession(Session):
 
     def _batch(self, sampler: BatchSampler) -> Batch:
         config = self.config
-        chunks = sampler.batch(
-            self.trainer.step, config.chunk, config.inputs.history, config.inputs.shift
-        )
+        chunks = sampler.batch(self.trainer.step, config.chunk, config.inputs)
         return Batch.of(chunks)
 
     def next_round(self) -> None:

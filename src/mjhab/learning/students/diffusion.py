@@ -38,7 +38,9 @@ class DiffusionPolicy(Student):
         inputs = config.inputs
         self.vector_normalizer = Normalizer(layout.width)
         self.images = PoolingEncoder(
-            len(layout.image_keys), config.network.channels, config.network.image_features
+            sum(layout.image_channels),
+            config.network.channels,
+            config.network.image_features,
         )
         seen = inputs.history * (config.network.image_features + layout.width)
         self.unet = UNet(len(layout.actions), seen, config.network.unet)

@@ -60,9 +60,8 @@ def check_student(config: StudentConfig, layout: ObservationSpec) -> None:
     """
     student_from_plain(to_plain(config))
     inputs = config.inputs
-    cameras = len(layout.image_keys)
-    side = inputs.image_size if cameras else 0
-    channels = inputs.history * cameras
+    channels = inputs.history * sum(layout.image_channels)
+    side = inputs.image_size if channels else 0
     # All steps of sampling are alike.
     config = dataclasses.replace(config, sampling_steps=min(config.sampling_steps, 1))
     try:

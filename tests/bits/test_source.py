@@ -18,6 +18,7 @@ COMPUTING += ("scenes", "sim", "tasks")
 
 INTEGER_FIELDS = frozenset(
     {
+        "image_channels",
         "horizon",
         "st_size",
         "size",

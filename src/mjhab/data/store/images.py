@@ -23,8 +23,8 @@ MAX_SIDE = 4096
 MAX_FRAME_BYTES = 4 * MAX_SIDE**2
 """Largest encoded picture that is read [bytes]."""
 _INTEGER_MODES = ("I;16", "I")
-_MODES = dict.fromkeys(COLOURS, ("RGB",))
-"""Pillow's names of the pixels that ``encode`` writes, by output; others than colours have integers of 16 bits."""
+_COLOUR_MODES = ("RGB",)
+"""Pillow's names of the pixels that ``encode`` writes: integers of 16 bits, and those of colours."""
 _PNG_LEVEL = 4
 _MOST = int(np.iinfo(np.uint16).max)
 
@@ -127,7 +127,7 @@ def _opened(data: bytes, output: str) -> Image.Image:
         raise ValueError(
             f"a picture of {wide} x {high} pixels; at most {MAX_SIDE} x {MAX_SIDE} are read"
         )
-    modes = _MODES.get(output, _INTEGER_MODES)
+    modes = _COLOUR_MODES if output in COLOURS else _INTEGER_MODES
     if picture.mode not in modes:
         raise ValueError(
             f"a picture of {output} has pixels {' or '.join(modes)}, not {picture.mode}"

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from mjhab.evaluation.datasets.replay import replay
     from mjhab.evaluation.evaluate import evaluate
     from mjhab.evaluation.generate import generate
+    from mjhab.evaluation.publishing.make import make_dataset
     from mjhab.experts import make_expert
     from mjhab.learning.train import train
     from mjhab.robots.controllers.modes import ControlMode, register_control_mode
@@ -58,6 +59,7 @@ __all__ = [
     "home_pack",
     "label",
     "make",
+    "make_dataset",
     "make_expert",
     "make_train",
     "object_from_glb",
@@ -88,6 +90,7 @@ _LAZY = {
     "export_maniskill": "mjhab.evaluation.datasets.export",
     "generate": "mjhab.evaluation.generate",
     "label": "mjhab.evaluation.datasets.label",
+    "make_dataset": "mjhab.evaluation.publishing.make",
     "replay": "mjhab.evaluation.datasets.replay",
     "make": "mjhab.envs",
     "make_train": "mjhab.envs",

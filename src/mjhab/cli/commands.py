@@ -67,6 +67,7 @@ GROUPS = {
     "bench": "measure environments, experts and the paper's Interact",
     "train": "train a policy",
     "data": "recorded episodes: list, query, check, merge, import",
+    "dataset": "data sets that can be published: make, check, push, pull",
     "export": "recorded episodes in other formats",
 }
 """Commands of two words by their first one."""
@@ -108,6 +109,19 @@ COMMANDS: tuple[Command, ...] = (
         "datasets.generate:run_generate",
         "evaluation.specs:GenerateSpec",
         memory=True,
+    ),
+    Command(
+        "dataset make",
+        "demonstrations of a track, with splits, statistics and a card",
+        "datasets.publish:run_make",
+        "evaluation.publishing.spec:DatasetSpec",
+        memory=True,
+    ),
+    Command(
+        "dataset check",
+        "compare the files of a data set with its list",
+        "datasets.publish:run_check",
+        "evaluation.publishing.spec:DatasetCheckSpec",
     ),
     Command(
         "train bc",

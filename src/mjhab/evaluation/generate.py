@@ -173,6 +173,8 @@ def make_job(spec: GenerateSpec) -> Job:
         keep=keep.text if keep else "",
         states=spec.states,
         images=ImageFormat(spec.rgb) if spec.stores_images else None,
+        # Workers may have another current directory.
+        rest=None if spec.rest is None else spec.rest.resolve(),
     )
     # Episodes of one subtask all last to the horizon, so one per world leaves no world idle. Chains differ in length.
     worlds = spec.asked.num_envs

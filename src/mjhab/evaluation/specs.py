@@ -166,6 +166,10 @@ class GenerateSpec(EnvSpec):
     """Which episodes to keep, as in `mjhab data query`."""
     preset: Annotated[str | None, Flag(metavar="NAME", shown="default: none")] = None
     """A filter with a name, see `mjhab data fields`; with --keep, both must hold."""
+    rest: Annotated[
+        Path | None, Flag(metavar="FOLDER", shown="default: dropped"), Output()
+    ] = None
+    """Folder for the episodes that were tried and did not pass the filter, such as failures; outside of --out."""
     until: Annotated[str, Flag(metavar="success+N", shown="default: the horizon")] = ""
     """End an episode of a single subtask N control steps after its first success, or when it exceeds the force limit.
     Whole tasks end with their success."""
@@ -217,6 +221,13 @@ class GenerateSpec(EnvSpec):
             )
         self.as_evaluation()
         self.filter()
+        out = self.out.resolve()
+        if self.rest is not None and self.rest.resolve().is_relative_to(out):
+            raise wrong_value(
+                "rest",
+                str(self.rest),
+                f"outside of {self.out}, whose episodes all passed",
+            )
         if self.stores_images:
             self._check_images(robot)
 

@@ -20,7 +20,7 @@ from mjhab.core.joints import BASE
 from mjhab.core.version import __version__
 from mjhab.data.record.worlds import RecordedEnv, Views
 from mjhab.data.store.episode_data import RunInfo
-from mjhab.data.store.run_entries import SCAN_YAWS
+from mjhab.data.store.run_entries import ACTION_TABLE, SCAN_YAWS
 
 _LIBRARIES = ("mujoco", "mujoco-warp", "numpy", "h5py")
 _FREE = frozenset(
@@ -110,6 +110,7 @@ def describe_run(
                 joint.removesuffix("_joint") for joint in layout.robot.joints[BASE.stop :]
             ],
             "actions": [entry.name for entry in env.action_table],
+            ACTION_TABLE: [dict(vars(entry)) for entry in env.action_table],
             "taints": list(env.taint_names),
             SCAN_YAWS: {
                 kind.name: kind.scan_yaw for kind in layout.objects if kind.scan_yaw

@@ -21,7 +21,7 @@ from mjhab.data.record.worlds import RecordedEnv
 from mjhab.data.select.facts import target_of
 from mjhab.data.select.query import Filter
 from mjhab.data.store.episode_data import EpisodeData, RunInfo, last_label
-from mjhab.data.store.episode_files import EpisodeFiles
+from mjhab.data.store.episode_files import EPISODE_FOLDER, EpisodeFiles
 from mjhab.data.store.images import ImageFormat
 from mjhab.data.store.storage import not_written
 from mjhab.rollout.loop import rollout
@@ -54,6 +54,7 @@ class WorkerSpec:
     """Picklable description of a worker.
 
     build: makes the stage. seed: of the episodes. keep: filter, "" keeps all episodes. states, images: see `Recorder`.
+    rest: folder for the episodes that do not pass the filter; None drops them.
     """
 
     build: Callable[[], Stage]
@@ -61,6 +62,7 @@ class WorkerSpec:
     keep: str = ""
     states: bool = True
     images: ImageFormat | None = None
+    rest: Path | None = None
 
 
 class Stopped(Exception):
@@ -87,6 +89,9 @@ class Worker:
         self._stage = spec.build()
         self._filter = Filter(spec.keep) if spec.keep else None
         self._files = EpisodeFiles(folder)
+        self._rest = (
+            None if spec.rest is None else EpisodeFiles(spec.rest / EPISODE_FOLDER)
+        )
         self._held: dict[int, EpisodeData] = {}
         self._request = Request(())
         self._tell = _nobody
@@ -94,7 +99,7 @@ class Worker:
             self,
             self._stage.env,
             self._stage.about,
-            keep=self._passes,
+            keep=self._is_stored,
             states=spec.states,
             images=spec.images,
             licence=self._stage.licence,
@@ -122,7 +127,7 @@ class Worker:
         for index, keep in request.decided.items():
             data = self._held.pop(index, None)
             if keep and data is not None:
-                self._write(data)
+                self._write(data, self._files)
                 tell(EpisodeStored(index))
         if request.indices:
             sinks = [self._recorder, _StopSink(stopped)]
@@ -137,28 +142,37 @@ class Worker:
 
     def append(self, data: EpisodeData) -> int:
         """Store or hold back an episode from the recorder; returns its size in the file [bytes]."""
+        if not self._passes(data.record, data.run):
+            assert self._rest is not None, "the recorder was not told to drop it"
+            size = self._write(data, self._rest)
+            self._tell(EpisodeDone(outcome_of(data.record, False), False))
+            return size
         outcome = outcome_of(data.record, True)
         if outcome.index in self._request.keep or self._request.guaranteed(
             outcome.target
         ):
-            size = self._write(data)
+            size = self._write(data, self._files)
             self._tell(EpisodeDone(outcome, True))
             return size
         self._held[outcome.index] = data
         self._tell(EpisodeDone(outcome, False))
         return 0
 
-    def _write(self, data: EpisodeData) -> int:
+    def _write(self, data: EpisodeData, files: EpisodeFiles) -> int:
         try:
-            return self._files.append(data)
+            return files.append(data)
         except OSError as error:
-            raise not_written(self._files.path_of(data.name), error) from error
+            raise not_written(files.path_of(data.name), error) from error
 
     def _passes(self, record: EpisodeRecord, run: RunInfo) -> bool:
-        passes = self._filter is None or self._filter(record, run)
-        if record.error or not passes:
+        return self._filter is None or self._filter(record, run)
+
+    def _is_stored(self, record: EpisodeRecord, run: RunInfo) -> bool:
+        """Whether the recorder is to hand on an episode; one that it is not to is finished."""
+        stored = self._rest is not None or self._passes(record, run)
+        if record.error or not stored:
             self._tell(EpisodeDone(outcome_of(record, False), False, record.error))
-        return passes and not record.error
+        return stored and not record.error
 
     def close(self) -> None:
         """Close the environment."""

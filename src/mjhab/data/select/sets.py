@@ -259,7 +259,7 @@ def split(
     groups: dict[str, list[Place]] = defaultdict(list)
     for episode in entries(places):
         groups[GROUPINGS[by](episode)].append((episode.path, episode.name))
-    dealt = _deal(groups, parts, seed)
+    dealt = deal(groups, parts, seed)
     _write_parts({path: dealt[part] for part, path in targets.items()})
     return {part: len(dealt[part]) for part in parts}
 
@@ -278,7 +278,7 @@ def _write_parts(dealt: Mapping[Path, Sequence[Place]]) -> None:
             path.unlink(missing_ok=True)
 
 
-def _deal(
+def deal(
     groups: Mapping[str, list[Place]], parts: Mapping[str, float], seed: int
 ) -> dict[str, list[Place]]:
     order = sorted(

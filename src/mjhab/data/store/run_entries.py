@@ -7,6 +7,9 @@ from typing import Any
 
 SCAN_YAWS = "scan_yaws"
 """Key of `RunInfo.layout`: `ObjectType.scan_yaw` [rad] by type of object, without those that are 0."""
+ACTION_TABLE = "action_table"
+"""Key of `RunInfo.layout`: the entries of an action as `robots.controllers.table.ActionEntry` has them; older runs tell
+their names alone (``actions``)."""
 MAX_LAYOUT_NUMBER = 10**6
 """Largest size of a state, column, or heading of a scan in the layout of a run."""
 _MISSING = object()
@@ -63,6 +66,12 @@ def _is_columns(value: Any) -> bool:
     )
 
 
+def _is_objects(value: Any) -> bool:
+    return isinstance(value, list | tuple) and all(
+        isinstance(one, Mapping) for one in value
+    )
+
+
 _OBJECT = (_is_object, "an object")
 _TEXT = (_is_text, "a text")
 _TEXTS = (_is_texts, "a list of texts")
@@ -87,6 +96,7 @@ _ENTRIES: dict[str, tuple[Callable[[Any], bool], str]] = {
     "layout/cameras": _OBJECT,
     "layout/sizes": (_is_sizes, "an object of whole numbers"),
     "layout/columns": (_is_columns, "an object of lists of whole numbers"),
+    f"layout/{ACTION_TABLE}": (_is_objects, "a list of objects"),
     f"layout/{SCAN_YAWS}": (_is_yaws, "an object of numbers"),
     "assets": _TEXT,
     "licence": _TEXT,

@@ -86,7 +86,7 @@ def open_drawer(view: WorldView, link: JointedLink) -> Motion:
     return (yield from approach.retract(view, gripper=gripper))
 
 
-@phase("close the drawer", "push")
+@phase("close the drawer", "approach")
 def close_drawer(view: WorldView, link: JointedLink) -> Motion:
     """Close a drawer: push its handle with the closed fingers by driving forward.
 
@@ -100,7 +100,7 @@ def close_drawer(view: WorldView, link: JointedLink) -> Motion:
         if grasps > 0:
             grasps -= 1
             if (yield from _take_handle(view, link, 0.0)):
-                yield from _drive_link(view, link, goal, HELD_SPEED_M_S)
+                yield from _push_shut(view, link, goal, HELD_SPEED_M_S)
             # Wide open fingers would be stuck in a recess and pull the drawer along.
             yield from approach.let_go(
                 view, BACK_OFF_M, gripper=_around(view.robot, link)
@@ -115,9 +115,17 @@ def close_drawer(view: WorldView, link: JointedLink) -> Motion:
         if best is None:
             return False
         yield from follow(view, best[1], gripper=motion.CLOSED)
-        yield from _drive_link(view, link, goal, SPEED_M_S, press=6)
+        yield from _push_shut(view, link, goal, SPEED_M_S, press=6)
         yield from approach.retreat(view, BACK_OFF_M)
     return (yield from approach.retract(view))
+
+
+@phase("push the drawer shut", "push")
+def _push_shut(
+    view: WorldView, link: JointedLink, goal: float, speed: float, press: int = 0
+) -> Motion:
+    """Drive forward until the joint has reached ``goal`` [m], see `_drive_link`."""
+    return (yield from _drive_link(view, link, goal, speed, press))
 
 
 @phase("take the handle", "approach")

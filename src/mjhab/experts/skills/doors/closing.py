@@ -55,7 +55,7 @@ PUSH_LEAD_RAD = 0.15
 """Largest angle of the hand's goal ahead of a door that is pushed, in addition to `PRESS_AHEAD_RAD`."""
 
 
-@phase("close the door", "push")
+@phase("close the door", "approach")
 def close_door(view: WorldView, link: JointedLink) -> Motion:
     """Close a hinged door: reach behind it and accelerate it along its arc, then retract the arm while it swings shut.
 

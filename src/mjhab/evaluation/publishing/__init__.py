@@ -1,0 +1,1 @@
+"""Data sets worth publishing: made by one command, described, checked, pushed and pulled."""

@@ -25,7 +25,7 @@ from mjhab.data.store.reading import RecordedEpisode
 from mjhab.evaluation.publishing.spec import DEMONSTRATIONS, DatasetSpec
 
 ABOUT = "dataset.json"
-SPLITS = "splits.json"
+SPLITS_FILE = "splits.json"
 FORMAT = "mjhab-dataset"
 SUBSETS: dict[str, str] = {"failures": "not success", "recoveries": "success"}
 """Filters of the subsets of what is no demonstration."""
@@ -34,7 +34,7 @@ _EXAMPLES = 12
 """Number of sentences that a card shows."""
 
 
-class _Numbers:
+class _ColumnRanges:
     """Mean, spread and range of the columns of a dataset, over all rows of all episodes."""
 
     def __init__(self) -> None:
@@ -72,8 +72,8 @@ class _Contents:
         self.skills: dict[str, list[int]] = defaultdict(list)
         self.sentences: Counter[str] = Counter()
         self.wordings: set[str] = set()
-        self.actions = _Numbers()
-        self.state = _Numbers()
+        self.actions = _ColumnRanges()
+        self.state = _ColumnRanges()
         self.labels: Counter[str] = Counter()
         self.first: RecordedEpisode | None = None
         self.licences: dict[str, None] = {}
@@ -106,16 +106,18 @@ def describe(
 
     Args:
         spec: what was asked for.
-        splits: content of SPLITS.
+        splits: content of SPLITS_FILE.
         clock: hours and CPU hours that it has taken.
     """
     found = _Contents()
     for episode, target, subset in _episodes(spec):
         found.add(episode, target, subset)
     files = list_files(spec.out, frozenset({ABOUT, "making.json"}))
-    size = sum(each["bytes"] for each in files.values())
-    totals = sum(found.targets.values(), Counter())
-    tried = sum(totals[key] for key in ("episodes", *SUBSETS))
+    size = int(np.sum([each["bytes"] for each in files.values()]))
+    totals = Counter[str]()
+    for counts in found.targets.values():
+        totals.update(counts)
+    tried = totals.total() - totals["frames"]
     per_thousand = 1000 / max(tried, 1)
     about = {
         "format": FORMAT,
@@ -148,7 +150,7 @@ def describe(
         "skills": {
             skill: {
                 "segments": len(lengths),
-                "steps": sum(lengths),
+                "steps": int(np.sum(lengths)),
                 "median_steps": float(np.median(lengths)),
             }
             for skill, lengths in sorted(found.skills.items())

@@ -19,6 +19,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from mjhab.core.files.reading import read_json_object
 from mjhab.core.files.run_folder import RunFolder, write_text
 from mjhab.data.record.job import TRIED, Standing, read_tried
@@ -28,7 +30,7 @@ from mjhab.data.store.episode_files import EPISODE_FOLDER
 from mjhab.data.store.packing import pack
 from mjhab.data.store.places import entries
 from mjhab.evaluation.generate import recorded_value, run_generation
-from mjhab.evaluation.publishing.about import ABOUT, SPLITS, SUBSETS, describe
+from mjhab.evaluation.publishing.about import ABOUT, SPLITS_FILE, SUBSETS, describe
 from mjhab.evaluation.publishing.card import card
 from mjhab.evaluation.publishing.spec import DEMONSTRATIONS, REST, DatasetSpec
 from mjhab.evaluation.score.manifest import ScoreRow
@@ -185,7 +187,7 @@ def _divide(spec: DatasetSpec, row: ScoreRow) -> None:
 def _finish(spec: DatasetSpec, clock: _Clock) -> dict[str, Any]:
     """Write splits, description and card of a set whose rows are complete; returns the description."""
     splits = _splits(spec.out / DEMONSTRATIONS, spec.held_out)
-    write_text(spec.out / SPLITS, json.dumps(splits, indent=2) + "\n")
+    write_text(spec.out / SPLITS_FILE, json.dumps(splits, indent=2) + "\n")
     about = describe(spec, splits, clock.told)
     write_text(spec.out / ABOUT, json.dumps(about, indent=2) + "\n")
     write_text(spec.out / "README.md", card(about))
@@ -211,7 +213,10 @@ def _splits(folder: Path, held_out: float) -> dict[str, Any]:
     return {
         "by": "home",
         **{
-            part: {"homes": names, "episodes": sum(sizes[home] for home in names)}
+            part: {
+                "homes": names,
+                "episodes": int(np.sum([sizes[home] for home in names])),
+            }
             for part, names in sorted(parts.items())
         },
     }

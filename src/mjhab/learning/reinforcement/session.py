@@ -235,7 +235,7 @@ class ReinforcementSession(Session):
         """
         kind = {
             "of_expert": of_expert,
-            "scene": asdict(self.scenes[0]),
+            "scene": self.scenes[0].record(),
             "config": asdict(self.config),
             "threads": self.spec.threads,
             "backend": self.spec.asked.backend,

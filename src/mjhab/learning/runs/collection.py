@@ -153,7 +153,7 @@ class Collector:
         if not wanted.teacher:
             # Folders of older versions do not name one.
             del collected["teacher"]
-        config = {"scene": asdict(self._scene), "seed": self._seed, "round": collected}
+        config = {"scene": self._scene.record(), "seed": self._seed, "round": collected}
         job = Job(
             spec,
             config,

@@ -234,7 +234,7 @@ class ImitationSession(Session):
         made = sum(tried_in(self.place(out, name)) for name in self.names)
         left = max(0, len(self.scenes) * wanted.episodes - made)
         kind = {
-            "scenes": [asdict(scene) for scene in self.scenes],
+            "scenes": [scene.record() for scene in self.scenes],
             "view": self.layout.env_options(),
             "resources": asdict(self.spec.resources),
             "style": wanted.style,

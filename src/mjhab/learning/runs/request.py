@@ -120,7 +120,7 @@ def start_of(spec: ImitationSpec, layout: ObservationSpec) -> Student | None:
 
 def resolved_config(spec: ImitationSpec) -> dict[str, Any]:
     """Everything that determines the result of a run, as JSON data."""
-    also = [asdict(scene) for scene in spec.scenes[1:]]
+    also = [scene.record() for scene in spec.scenes[1:]]
     return {
         **config_of(spec, spec.config),
         **({"also": also} if also else {}),
@@ -148,7 +148,7 @@ def config_of(spec: Any, config: Any) -> dict[str, Any]:
     return {
         "algorithm": config.algorithm,
         "config": asdict(config),
-        "scene": asdict(spec.scene),
+        "scene": spec.scene.record(),
         "seed": spec.seed,
         "data": [str(place) for place in spec.data],
         "where": spec.where or "",

@@ -216,8 +216,8 @@ class Session(ABC):
             "step": self.state.updates,
             "samples": self.state.samples,
             "trained": self.state.trained,
-            "scene": vars(self.scenes[0]),
-            "also": [vars(scene) for scene in self.scenes[1:]],
+            "scene": self.scenes[0].record(),
+            "also": [scene.record() for scene in self.scenes[1:]],
             "seed": self.spec.seed,
         }
         save_student(path or self.folder.student, self.policy, about)

@@ -47,6 +47,7 @@ class Scene:
 
     profile, spawn_rule, stillness, joint_dynamics: as in `EnvConfig`; "" takes those of the given data, or else the
     defaults. robot: its name, "" for the default. spawns: file of start states, "" for drawn ones.
+    randomise: what is perturbed where the policy learns; evaluations perturb nothing.
     """
 
     task: str = "set_table"
@@ -61,6 +62,7 @@ class Scene:
     joint_dynamics: str = ""
     robot: str = ""
     spawns: str = ""
+    randomise: str = ""
 
     @property
     def name(self) -> str:
@@ -70,6 +72,13 @@ class Scene:
     def env_options(self) -> dict[str, Any]:
         """Options of `mjhab.envs.make`; empty values are left out and take its defaults."""
         return {name: value for name, value in asdict(self).items() if value}
+
+    def record(self) -> dict[str, Any]:
+        """All options as plain data, ``randomise`` only where it is given: other runs are recorded as they were."""
+        told = asdict(self)
+        if not self.randomise:
+            del told["randomise"]
+        return told
 
     def apart_from_profile(self) -> dict[str, Any]:
         """The non-empty options that can be combined with a profile."""
@@ -119,6 +128,9 @@ DOCS: Mapping[str, str] = {
     "seed": "Seed of everything: weights, batches, episodes.",
     "threads": "Threads of physics and network; 0 takes all cores. The last bits of the weights depend on it.",
     "num_envs": "Parallel episodes per process. Changes the speed, never the collected data.",
+    "randomise": "Domain randomisation, such as camera:3,noise:3: what the policy learns from is perturbed, at a level "
+    "that is drawn for every episode, from 0 to the one that is named (see docs/perturbations.md). Evaluations of the "
+    "run perturb nothing.",
 }
 """What fields of `EnvConfig` mean for a training."""
 SHOWN: Mapping[str, str] = {"profile": "default: that of --data, else mjhab"}
@@ -217,7 +229,7 @@ class TrainSpec(EnvSpec):
     def scene(self) -> Scene:
         """What the policy learns."""
         given = {name: value for name, value in self.env.items() if name in SCENE}
-        return Scene(**given)
+        return Scene(**{**given, "randomise": self.asked.randomise})
 
     @property
     def scenes(self) -> tuple[Scene, ...]:

@@ -29,7 +29,7 @@ from mjhab.core.errors import UsageError
 from mjhab.core.joints import BASE_XY
 from mjhab.core.rotations import pose_inv, pose_mul
 from mjhab.envs.perturbations.language import with_synonym, with_typo
-from mjhab.envs.perturbations.pixels import blur, recolour, relight
+from mjhab.envs.perturbations.pixels import blur, light_table, recolour, relight
 from mjhab.envs.sequential import SequentialTaskEnv
 from mjhab.robots.fetch.robot import ROBOT
 from mjhab.tasks.subtasks.registry import SUBTASKS
@@ -465,7 +465,8 @@ def test_pixels() -> None:
 
     def lit(side: float, gain: float, toward: np.ndarray = behind) -> np.ndarray:
         image = every.copy()
-        relight(image, wall, 16.0, toward, side, np.full(3, gain))
+        table = light_table(np.full(3, gain), side)
+        relight(image[None], wall[None], np.full(1, 16.0), toward[None], table)
         return image
 
     np.testing.assert_array_equal(lit(0.0, 1.0), every)
@@ -481,15 +482,15 @@ def test_pixels() -> None:
     seg = np.zeros((16, 16), np.int32)
     seg[8:] = 1
     swap = np.eye(3, dtype=np.float32)
-    recolour(image, seg, np.stack([swap, 0.0 * swap]))
+    recolour(image[None], seg[None], np.stack([swap, 0.0 * swap]))
     assert (image[:8] == every[:8]).all() and not image[8:].any()
     spot = np.zeros((9, 9, 3), np.uint8)
     spot[4, 4] = 200
-    blur(spot, 1.0)
+    blur(spot[None], 1.0)
     assert 0 < spot[4, 5, 0] == spot[5, 4, 0] == spot[4, 3, 0] < spot[4, 4, 0] < 200
     np.testing.assert_array_equal(spot, spot[::-1, ::-1])
     plain = np.full((5, 5, 3), 77, np.uint8)
-    blur(plain, 0.7)
+    blur(plain[None], 0.7)
     assert (plain == 77).all()
 
 

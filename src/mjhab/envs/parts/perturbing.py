@@ -26,6 +26,10 @@ if TYPE_CHECKING:
     from mjhab.render.home_scene import CameraChange
 
 
+MOUNTS_KEPT = 4096
+"""Episodes whose mounts of cameras are kept in memory; each takes 0.3 KiB."""
+
+
 class PerturbedMoment(NamedTuple):
     """When an image is taken: what is drawn for its episode, and control steps since its start."""
 
@@ -67,6 +71,10 @@ class Perturber:
         self._moments = [PerturbedMoment((), 0) for _ in range(num_worlds)]
         self._late: list[list[np.ndarray]] = [[] for _ in range(num_worlds)]
         """Actions of every world that are not executed yet."""
+        self._mounted: dict[
+            tuple[object, ...], tuple[np.ndarray, np.ndarray, np.ndarray]
+        ] = {}
+        """Mounts of the cameras by episode, see `_mount`."""
 
     def begin(self, world: int, seed: int, index: int) -> None:
         """Draw what is perturbed in the episode that a world begins."""
@@ -120,22 +128,30 @@ class Perturber:
         axes = [_with(moment.drawn, "mount") for moment in moments]
         if not any(axes):
             return None
-        shape = (len(moments), len(cameras))
-        shift = np.zeros((*shape, 3))
-        turn = np.tile(np.eye(3), (*shape, 1, 1))
-        widen = np.ones(shape)
-        for w, drawn in enumerate(axes):
+        found = [self._mount(drawn, tuple(cameras)) for drawn in axes]
+        from mjhab.render.home_scene import CameraChange  # loads numba and trimesh
+
+        return CameraChange(*(np.stack(rows) for rows in zip(*found, strict=True)))
+
+    def _mount(
+        self, drawn: Sequence[Drawn], cameras: tuple[str, ...]
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Shift (C, 3), turn (C, 3, 3) and width (C,) of the cameras of a world; the same in a whole episode."""
+        key = (cameras, *((one.axis, one.level, one.seed, one.index) for one in drawn))
+        if key not in self._mounted:
+            shift = np.zeros((len(cameras), 3))
+            turn = np.tile(np.eye(3), (len(cameras), 1, 1))
+            widen = np.ones(len(cameras))
             for c, camera in enumerate(cameras):
                 for one in drawn:
                     change: MountChange = called(one.axis, "mount", one, camera)
-                    shift[w, c] += turn[w, c] @ change.shift
-                    turn[w, c] = (
-                        turn[w, c] @ mat_from_rotation_vector(change.turn[None])[0]
-                    )
-                    widen[w, c] *= change.widen
-        from mjhab.render.home_scene import CameraChange  # loads numba and trimesh
-
-        return CameraChange(shift, turn, widen)
+                    shift[c] += turn[c] @ change.shift
+                    turn[c] = turn[c] @ mat_from_rotation_vector(change.turn[None])[0]
+                    widen[c] *= change.widen
+            if len(self._mounted) > MOUNTS_KEPT:
+                self._mounted.clear()
+            self._mounted[key] = shift, turn, widen
+        return self._mounted[key]
 
     def pictures(
         self,

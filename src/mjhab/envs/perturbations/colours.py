@@ -8,12 +8,10 @@ from functools import lru_cache
 import numpy as np
 
 from mjhab.config.perturbing import Drawn, Perturbation, PictureFrame, Quantity
-from mjhab.envs.perturbations.pixels import recolour
+from mjhab.envs.perturbations.pixels import EPISODES_KEPT, recolour
 
 IDS = 1024
 """Segments whose colours are drawn; the one with id i has those of number i modulo IDS."""
-EPISODES_KEPT = 256
-"""Episodes whose matrices are kept in memory; each takes 36 KiB."""
 LUMA = (0.2126, 0.7152, 0.0722)
 """Shares of red, green and blue in the brightness of linear light (ITU-R BT.709)."""
 
@@ -43,8 +41,7 @@ class ColoursAxis(Perturbation):
         if "rgb" not in images:
             return
         mixes = _mixes(drawn)
-        for rgb, seg in zip(images["rgb"], images["seg"], strict=True):
-            recolour(rgb, seg, mixes)
+        recolour(images["rgb"], images["seg"], mixes)
 
 
 def _mixes(drawn: Drawn) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""Kernels of perturbed images: one pass over the pixels of a camera's image.
+"""Kernels of perturbed images: one pass over the pixels of all cameras of a world.
 
 Light is that of the scene (see `pixels.Tones`): ``light_of`` (256,) float32 of each byte, ``bytes_of`` (n,) uint8 by
 light, ``scale`` entries of these per unit of light.
@@ -15,103 +15,188 @@ _NUMBERS = {"nnan", "nsz"}
 _helper = compiler(_MODULE, forceinline=True, fastmath=_NUMBERS)
 _kernel = compiler(_MODULE, fastmath=_NUMBERS)
 
-
-@_helper
-def _byte(light, bytes_of, scale):
-    """The byte that shows a light."""
-    entry = min(light * scale, np.float32(len(bytes_of) - 1))
-    return bytes_of[np.int32(entry + np.float32(0.5))]
-
-
-@_helper
-def _point(depth, y, x, focal):
-    """The point (3,) that a pixel shows, in the axes of the camera [m]."""
-    height, width = depth.shape
-    d = depth[y, x]
-    u = (np.float32(x) + np.float32(0.5 - 0.5 * width)) / focal
-    v = (np.float32(0.5 * height - 0.5) - np.float32(y)) / focal
-    return d * u, d * v, -d
+CELL_PX = 2
+"""Side [px] of the cells of an image that face the light as one: half of all corners of things are in whole cells."""
+HOLE_PX = 2
+"""Side of the smallest hole in a depth image [px]; neighbouring ones make larger holes."""
+ONE = 256
+"""Sum of the weights of a blur."""
 
 
 @_helper
-def _cosine(depth, y, x, focal, toward):
-    """Cosine between a direction and the surface that a pixel shows; 0 where nothing is hit."""
-    height, width = depth.shape
-    if depth[y, x] <= 0.0:
-        return np.float32(0.0)
-    ax, ay, az = _point(depth, y, max(x - 1, 0), focal)
-    bx, by, bz = _point(depth, y, min(x + 1, width - 1), focal)
-    cx, cy, cz = _point(depth, min(y + 1, height - 1), x, focal)
-    dx, dy, dz = _point(depth, max(y - 1, 0), x, focal)
-    ax, ay, az = bx - ax, by - ay, bz - az
-    dx, dy, dz = dx - cx, dy - cy, dz - cz
-    nx = ay * dz - az * dy
-    ny = az * dx - ax * dz
-    nz = ax * dy - ay * dx
-    size = np.sqrt(nx * nx + ny * ny + nz * nz)
-    along = nx * toward[0] + ny * toward[1] + nz * toward[2]
-    return along / max(size, np.float32(1e-12))
+def _faced(upper, lower, v, inv, toward, entry, most):
+    """Write the entry of a table for every cell of two rows of pixels: how much what it shows faces the light.
+
+    upper, lower: (w,) float32 [m]. v: of the upper row, as tangent. entry: (cells,) uint8. most: the last entry. Where
+    nothing is hit, nothing faces it.
+    """
+    half = np.float32(0.5 * len(upper) - 0.5)
+    zero = np.float32(0.0)
+    top = np.float32(most)
+    # Without branches, so that many cells are computed at once.
+    for cell in range(len(upper) // CELL_PX):
+        x = np.uint64(CELL_PX) * np.uint64(cell)
+        d = upper[x]
+        e = upper[x + np.uint64(1)]
+        f = lower[x]
+        u = (np.float32(CELL_PX) * np.float32(np.int32(cell)) - half) * inv
+        # To the pixel on the right, and down to the one below.
+        ax = (e - d) * u + e * inv
+        ay = (e - d) * v
+        az = d - e
+        bx = (f - d) * u
+        by = (f - d) * v - f * inv
+        bz = d - f
+        nx = by * az - bz * ay
+        ny = bz * ax - bx * az
+        nz = bx * ay - by * ax
+        square = nx * nx + ny * ny + nz * nz + np.float32(1e-24)
+        along = nx * toward[0] + ny * toward[1] + nz * toward[2]
+        share = max(along / np.sqrt(square), zero) * top + np.float32(0.5)
+        seen = min(min(d, e), f) > zero
+        entry[cell] = np.uint8(np.int32(share if seen else zero))
 
 
 @_kernel
-def relight(rgb, depth, focal, toward, side, gain, light_of, bytes_of, scale):
-    """Change the light of an image in place.
+def relight(rgb, depth, focal, toward, table):
+    """Change the light of C images in place.
 
-    rgb: (h, w, 3) uint8. depth: (h, w) float32 [m]. focal: [px]. toward: (3,) float32 unit vector to the light in the
-    axes of the camera. side: share of the light that comes from there. gain: (3,) float32.
+    rgb: (C, h, w, 3) uint8. depth: (C, h, w) float32 [m], at least CELL_PX on a side. focal: (C,) float32 [px]. toward:
+    (C, 3) float32 unit vectors to the light in the axes of the cameras. table: (n, 3, 256) uint8, of red, green and
+    blue by how much surfaces face the light, from 0 to 1.
     """
-    height, width = depth.shape
-    one = np.float32(1.0)
-    for y in range(height):
-        for x in range(width):
-            facing = max(_cosine(depth, y, x, focal, toward), np.float32(0.0))
-            # On the mean over all directions, a surface keeps its light.
-            share = one - side + side * np.float32(4.0) * facing
-            for c in range(3):
-                light = light_of[rgb[y, x, c]] * share * gain[c]
-                rgb[y, x, c] = _byte(light, bytes_of, scale)
+    cameras, height, width = depth.shape
+    cells = width // CELL_PX
+    entry = np.empty(cells + 1, np.uint8)
+    flat = table.reshape(table.size)
+    for camera in range(cameras):
+        inv = np.float32(1.0) / focal[camera]
+        for y in range(0, height, CELL_PX):
+            # The last row of an odd image belongs to the cells above it, as its last column to those beside it.
+            if y + 1 < height:
+                v = np.float32(0.5 * height - 0.5 - y) * inv
+                upper, lower = depth[camera, y], depth[camera, y + 1]
+                _faced(upper, lower, v, inv, toward[camera], entry, len(table) - 1)
+                entry[cells] = entry[cells - 1]
+            for row in range(y, min(y + CELL_PX, height)):
+                line = rgb[camera, row]
+                for column in range(width):
+                    i = np.uint64(column)
+                    at = np.uint64(entry[i // np.uint64(CELL_PX)]) * np.uint64(768)
+                    line[i, 0] = flat[at + np.uint64(line[i, 0])]
+                    line[i, 1] = flat[at + np.uint64(256) + np.uint64(line[i, 1])]
+                    line[i, 2] = flat[at + np.uint64(512) + np.uint64(line[i, 2])]
 
 
 @_kernel
 def recolour(rgb, seg, mixes, light_of, bytes_of, scale):
-    """Mix the colours of an image by segments, in place.
+    """Mix the colours of C images by segments, in place.
 
-    rgb: (h, w, 3) uint8. seg: (h, w) int32. mixes: (n, 3, 3) float32, of segment i modulo n.
+    rgb: (C, h, w, 3) uint8. seg: (C, h, w) int32. mixes: (n, 3, 3) float32, of segment i modulo n.
     """
-    height, width = seg.shape
-    for y in range(height):
-        for x in range(width):
-            mix = mixes[seg[y, x] % len(mixes)]
-            r = light_of[rgb[y, x, 0]]
-            g = light_of[rgb[y, x, 1]]
-            b = light_of[rgb[y, x, 2]]
-            for c in range(3):
-                light = mix[c, 0] * r + mix[c, 1] * g + mix[c, 2] * b
-                rgb[y, x, c] = _byte(max(light, np.float32(0.0)), bytes_of, scale)
+    cameras, height, width = seg.shape
+    top = np.float32(len(bytes_of) - 1)
+    zero = np.float32(0.0)
+    half = np.float32(0.5)
+    for camera in range(cameras):
+        for y in range(height):
+            for x in range(width):
+                mix = mixes[seg[camera, y, x] % len(mixes)]
+                r = light_of[rgb[camera, y, x, 0]]
+                g = light_of[rgb[camera, y, x, 1]]
+                b = light_of[rgb[camera, y, x, 2]]
+                for c in range(3):
+                    light = mix[c, 0] * r + mix[c, 1] * g + mix[c, 2] * b
+                    entry = min(max(light * scale, zero), top)
+                    rgb[camera, y, x, c] = bytes_of[np.int32(entry + half)]
+
+
+@_helper
+def _begin(middle, weight, total):
+    """Begin the sums of a row of bytes by those in the middle, with a half that rounds."""
+    for x in range(len(total)):
+        total[x] = np.uint16(ONE // 2) + weight * middle[x]
+
+
+@_helper
+def _add(one, other, weight, total):
+    """Add two neighbours of the same weight to the sums of a row."""
+    for x in range(len(total)):
+        total[x] += weight * (one[x] + other[x])
 
 
 @_kernel
-def blur(rgb, weights, light_of, bytes_of, scale):
-    """Blur an image in place, rows and columns in turn.
+def blur(rgb, weights):
+    """Blur C images in place, rows and columns in turn.
 
-    rgb: (h, w, 3) uint8. weights: (2 r + 1,) float32, of the neighbours from -r to r; edges go on as they are.
+    rgb: (C, h, w, 3) uint8. weights: (2 r + 1,) uint16, symmetric with the sum ONE, of the neighbours from -r to r;
+    edges go on as they are.
     """
-    height, width, _ = rgb.shape
+    cameras, height, width, _ = rgb.shape
     radius = len(weights) // 2
-    rows = np.empty((height, width, 3), np.float32)
-    for y in range(height):
-        for x in range(width):
-            for c in range(3):
-                light = np.float32(0.0)
-                for k in range(len(weights)):
-                    at = min(max(x + k - radius, 0), width - 1)
-                    light += weights[k] * light_of[rgb[y, at, c]]
-                rows[y, x, c] = light
-    for y in range(height):
-        for x in range(width):
-            for c in range(3):
-                light = np.float32(0.0)
-                for k in range(len(weights)):
-                    at = min(max(y + k - radius, 0), height - 1)
-                    light += weights[k] * rows[at, x, c]
-                rgb[y, x, c] = _byte(light, bytes_of, scale)
+    length = 3 * width
+    # Sums of bytes by weights fit into 16 bits, of which a processor adds many at once.
+    wide = np.empty(length + 6 * radius, np.uint16)
+    rows = np.empty((height + 2 * radius, length), np.uint16)
+    total = np.empty(length, np.uint16)
+    for camera in range(cameras):
+        image = rgb[camera].reshape(height, length)
+        for y in range(height):
+            for x in range(length):
+                wide[3 * radius + x] = image[y, x]
+            for x in range(3 * radius):
+                wide[x] = image[y, x % 3]
+                wide[length + 3 * radius + x] = image[y, length - 3 + x % 3]
+            _begin(wide[3 * radius :], weights[radius], total)
+            for k in range(1, radius + 1):
+                left, right = wide[3 * (radius - k) :], wide[3 * (radius + k) :]
+                _add(left, right, weights[radius + k], total)
+            for x in range(length):
+                rows[radius + y, x] = total[x] >> np.uint16(8)
+        for y in range(radius):
+            rows[y] = rows[radius]
+            rows[height + radius + y] = rows[height + radius - 1]
+        for y in range(height):
+            _begin(rows[radius + y], weights[radius], total)
+            for k in range(1, radius + 1):
+                above, below = rows[radius + y - k], rows[radius + y + k]
+                _add(above, below, weights[radius + k], total)
+            for x in range(length):
+                image[y, x] = np.uint8(total[x] >> np.uint16(8))
+
+
+@_helper
+def _mixed(number):
+    """A number of 64 bits whose bits all depend on those of another one (splitmix64)."""
+    number = (number ^ (number >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    number = (number ^ (number >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    return number ^ (number >> np.uint64(31))
+
+
+@_kernel
+def holes(images, key, step, share):
+    """Write zeros into squares of C images, in place.
+
+    images: (C, h, w), any kind of number. key: uint64 of the episode. step: control step. share: of the squares.
+    """
+    cameras, height, width = images.shape
+    limit = np.uint64(share * 2.0**32)
+    counter = _mixed(key ^ _mixed(np.uint64(step) + np.uint64(1)))
+    for camera in range(cameras):
+        for y in range(0, height, HOLE_PX):
+            for x in range(0, width, HOLE_PX):
+                counter += np.uint64(0x9E3779B97F4A7C15)
+                if (_mixed(counter) >> np.uint64(32)) >= limit:
+                    continue
+                for row in range(y, min(y + HOLE_PX, height)):
+                    for column in range(x, min(x + HOLE_PX, width)):
+                        images[camera, row, column] = 0
+
+
+@_kernel
+def steps(depth, step):
+    """Round all distances (C, h, w) float32 to multiples of ``step`` float32 [m], in place."""
+    flat = depth.reshape(depth.size)
+    per = np.float32(1.0) / step
+    for i in range(len(flat)):
+        flat[i] = np.rint(flat[i] * per) * step

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
 
 from mjhab.config.perturbing import Drawn, Perturbation, PictureFrame, Quantity
-from mjhab.envs.perturbations.pixels import relight
+from mjhab.envs.perturbations.pixels import EPISODES_KEPT, light_table, relight
 from mjhab.robots.robot import Robot
 
 
@@ -56,13 +57,15 @@ class LightAxis(Perturbation):
         """Change "rgb" by the gain and by how far a surface is turned to the light."""
         if "rgb" not in images:
             return
-        gain = np.array(drawn.values["gain"])
-        world = np.array(drawn.values["from"])
-        for camera, rgb in enumerate(images["rgb"]):
-            toward = world @ frame.mat[camera]
-            focal = float(frame.focal[camera])
-            side = drawn.amounts["side"]
-            relight(rgb, images["depth"][camera], focal, toward, side, gain)
+        table = _table(tuple(drawn.values["gain"]), drawn.amounts["side"])
+        toward = np.array(drawn.values["from"]) @ frame.mat
+        relight(images["rgb"], images["depth"], frame.focal, toward, table)
+
+
+@lru_cache(maxsize=EPISODES_KEPT)
+def _table(gain: tuple[float, ...], side: float) -> np.ndarray:
+    """`light_table`, kept, because every image of an episode needs it."""
+    return light_table(np.array(gain), side)
 
 
 LIGHT = LightAxis()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -14,11 +15,11 @@ from mjhab.config.perturbing import (
     PictureFrame,
     Quantity,
 )
-from mjhab.envs.perturbations.pixels import blur
+from mjhab.envs.perturbations.pixels import EPISODES_KEPT, blur, holes, rounded
 from mjhab.robots.robot import Robot
 
-HOLE_PX = 2
-"""Side of the smallest hole in a depth image [px]; neighbouring ones make larger holes."""
+BLOCK = 64
+"""Control steps whose noise of actions is drawn at once, because a stream costs more to begin than to use."""
 MM_PER_M = 1000.0
 
 
@@ -60,18 +61,13 @@ class NoiseAxis(Perturbation):
     ) -> None:
         """Blur "rgb"; holes and steps in "depth", the same holes in "target_depth"."""
         if "rgb" in images:
-            for rgb in images["rgb"]:
-                blur(rgb, drawn.amounts["blur"])
-        holes: np.ndarray | None = None
+            blur(images["rgb"], drawn.amounts["blur"])
+        if "depth" in images:
+            rounded(images["depth"], drawn.amounts["steps"] / MM_PER_M)
         for name in ("depth", "target_depth"):
             if name in images:
-                image = images[name]
-                if holes is None:
-                    holes = _holes(drawn, image.shape, frame.step)
-                image[holes] = 0
-        if "depth" in images:
-            step = np.float32(drawn.amounts["steps"] / MM_PER_M)
-            images["depth"][:] = np.round(images["depth"] / step) * step
+                key = _key(drawn.level, drawn.seed, drawn.index)
+                holes(images[name], key, frame.step, drawn.amounts["holes"])
 
     def delay(self, drawn: Drawn) -> int:
         """That of the level."""
@@ -81,25 +77,31 @@ class NoiseAxis(Perturbation):
         self, drawn: Drawn, action: np.ndarray, frame: ActionFrame, step: int
     ) -> np.ndarray:
         """Add noise to all entries but the gripper's, and take away what slips of the base's."""
-        noise = drawn.stream("act", step).normal(
-            0.0, drawn.amounts["action"], len(action)
-        )
+        block, row = divmod(step, BLOCK)
+        bells = _bells(drawn.level, drawn.seed, drawn.index, block, len(action))
+        noise = drawn.amounts["action"] * bells[row]
         noise[frame.gripper] = 0.0
         found = action + noise * frame.half
         found[list(frame.base)] *= drawn.values["grip"]
         return found.astype(np.float32)
 
 
-def _holes(drawn: Drawn, shape: tuple[int, ...], step: int) -> np.ndarray:
-    """(C, h, w) bool: where the images of a control step have holes."""
-    cameras, height, width = shape
-    rows, columns = -(-height // HOLE_PX), -(-width // HOLE_PX)
-    lost = (
-        drawn.stream("holes", step).random((cameras, rows, columns))
-        < drawn.amounts["holes"]
-    )
-    fine = lost.repeat(HOLE_PX, axis=1).repeat(HOLE_PX, axis=2)
-    return fine[:, :height, :width]
+def _bare(level: int, seed: int, index: int) -> Drawn:
+    """The axis in an episode, for its streams alone."""
+    return Drawn(NOISE.name, level, seed, index, {})
+
+
+@lru_cache(maxsize=EPISODES_KEPT)
+def _key(level: int, seed: int, index: int) -> np.uint64:
+    """What the holes of an episode are counted from."""
+    random = _bare(level, seed, index).stream("holes")
+    return random.integers(2**64, dtype=np.uint64)
+
+
+@lru_cache(maxsize=EPISODES_KEPT)
+def _bells(level: int, seed: int, index: int, block: int, entries: int) -> np.ndarray:
+    """(BLOCK, entries) normal numbers for a block of control steps."""
+    return _bare(level, seed, index).stream("act", block).normal(size=(BLOCK, entries))
 
 
 NOISE = NoiseAxis()

@@ -11,6 +11,10 @@ from mjhab.scenes.shapes.colors import srgb_to_linear
 
 _KNEE = 0.6
 """Linear light above which pictures are compressed, see `shading.tone_curve`."""
+FACINGS = 32
+"""Steps in which surfaces face the light; such a table stays in the nearest cache of a processor."""
+EPISODES_KEPT = 256
+"""Episodes of which each axis keeps in memory what every image needs, 40 KiB at most."""
 
 
 class Tones(NamedTuple):
@@ -41,36 +45,53 @@ def tones() -> Tones:
     return Tones(light.astype(np.float32), bytes_of, scale)
 
 
+def light_table(gain: np.ndarray, side: float) -> np.ndarray:
+    """What light from one side does to bytes: (FACINGS, 3, 256) uint8 of red, green and blue.
+
+    Args:
+        gain: (3,) factors of red, green and blue.
+        side: share of the light that comes from one side, 0 to 1.
+
+    Returns:
+        The new byte of every byte, by how much a surface faces that side, in equal steps from 0 to 1.
+    """
+    light_of, bytes_of, scale = tones()
+    facing = np.linspace(0.0, 1.0, FACINGS)
+    # On the mean over all directions, a surface keeps its light.
+    share = 1.0 - side + side * 4.0 * facing
+    light = share[:, None, None] * gain[:, None] * light_of
+    entry = np.minimum(light * scale + 0.5, len(bytes_of) - 1)
+    return bytes_of[entry.astype(np.int64)]
+
+
 def relight(
     rgb: np.ndarray,
     depth: np.ndarray,
-    focal: float,
+    focal: np.ndarray,
     toward: np.ndarray,
-    side: float,
-    gain: np.ndarray,
+    table: np.ndarray,
 ) -> None:
-    """Change the light of an image (h, w, 3) uint8.
+    """Change the light of C images (C, h, w, 3) uint8.
 
     Args:
-        rgb: the image.
-        depth: (h, w) float32 planar distances [m], 0 where nothing is hit.
-        focal: focal length [px].
-        toward: (3,) unit vector to the light in the axes of the camera (x right, y up, z backwards).
-        side: share of the light that comes from there, 0 to 1.
-        gain: (3,) factors of red, green and blue.
+        rgb: the images.
+        depth: (C, h, w) float32 planar distances [m], 0 where nothing is hit.
+        focal: (C,) focal lengths [px].
+        toward: (C, 3) unit vectors to the light in the axes of the cameras (x right, y up, z backwards).
+        table: see `light_table`.
     """
     from mjhab.envs.perturbations import kernels  # loads numba
 
-    numbers = (np.float32(focal), toward.astype(np.float32), np.float32(side))
-    kernels.relight(rgb, depth, *numbers, gain.astype(np.float32), *tones())
+    own = focal.astype(np.float32), toward.astype(np.float32)
+    kernels.relight(rgb, depth, *own, table)
 
 
 def recolour(rgb: np.ndarray, seg: np.ndarray, mixes: np.ndarray) -> None:
-    """Mix the linear light of an image (h, w, 3) uint8 by segments.
+    """Mix the linear light of C images (C, h, w, 3) uint8 by segments.
 
     Args:
-        rgb: the image.
-        seg: (h, w) int32 segments.
+        rgb: the images.
+        seg: (C, h, w) int32 segments.
         mixes: (n, 3, 3) float32, matrix of segment i modulo n.
     """
     from mjhab.envs.perturbations import kernels  # loads numba
@@ -79,9 +100,40 @@ def recolour(rgb: np.ndarray, seg: np.ndarray, mixes: np.ndarray) -> None:
 
 
 def blur(rgb: np.ndarray, sigma: float) -> None:
-    """Blur an image (h, w, 3) uint8 as a lens does that is out of focus; ``sigma`` of the Gauss bell [px]."""
+    """Blur C images (C, h, w, 3) uint8 as shaken ones; ``sigma`` of the Gauss bell [px]."""
     from mjhab.envs.perturbations import kernels  # loads numba
 
+    kernels.blur(rgb, _bell(sigma))
+
+
+@cache
+def _bell(sigma: float) -> np.ndarray:
+    """(2 r + 1,) uint16 weights of neighbours with the sum `kernels.ONE`."""
+    from mjhab.envs.perturbations.kernels import ONE  # loads numba
+
     radius = max(1, int(np.ceil(2.5 * sigma)))
-    weights = np.exp(-0.5 * np.square(np.arange(-radius, radius + 1) / sigma))
-    kernels.blur(rgb, (weights / weights.sum()).astype(np.float32), *tones())
+    bell = np.exp(-0.5 * np.square(np.arange(-radius, radius + 1) / sigma))
+    weights = np.rint(ONE * bell / bell.sum()).astype(np.int64)
+    weights[radius] += ONE - weights.sum()
+    return weights.astype(np.uint16)
+
+
+def holes(images: np.ndarray, key: np.uint64, step: int, share: float) -> None:
+    """Write zeros into squares of C images (C, h, w), any kind of number.
+
+    Args:
+        images: the images; others of the same shape get the same holes.
+        key: of the episode.
+        step: control steps since its start.
+        share: of the squares.
+    """
+    from mjhab.envs.perturbations import kernels  # loads numba
+
+    kernels.holes(images, key, step, share)
+
+
+def rounded(depth: np.ndarray, step: float) -> None:
+    """Round distances (C, h, w) float32 [m] to multiples of ``step`` [m]."""
+    from mjhab.envs.perturbations import kernels  # loads numba
+
+    kernels.steps(depth, np.float32(step))

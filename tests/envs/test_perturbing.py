@@ -38,6 +38,8 @@ PAGE = Path(__file__).parents[2] / "docs" / "perturbations.md"
 SIDE = 32
 RGB = "sensor_data/fetch_head/rgb"
 DEPTH = "sensor_data/fetch_head/depth"
+NEAR = "sensor_data/fetch_head/target_depth"
+SEEN = "rgbd+target_depth"
 
 
 def build(perturb: Any = "", **options: Any) -> SequentialTaskEnv:
@@ -63,7 +65,7 @@ def walk(env: SequentialTaskEnv, steps: int, seed: int = 5) -> tuple[dict, dict]
 @pytest.fixture(scope="module")
 def clean() -> dict[str, Any]:
     """Observations, sentence and state of the episode without perturbations, at its start and after some steps."""
-    env = build(obs_mode="rgbd", camera_size=SIDE)
+    env = build(obs_mode=SEEN, camera_size=SIDE)
     first, info = begin(env, 3)
     start = env.state_digest(0)
     last, _ = walk(env, 4)
@@ -77,7 +79,7 @@ def clean() -> dict[str, Any]:
 
 def perturbed(axes: str, steps: int = 4) -> dict[str, Any]:
     """The same of the episode with perturbations."""
-    env = build(axes, obs_mode="rgbd", camera_size=SIDE)
+    env = build(axes, obs_mode=SEEN, camera_size=SIDE)
     first, info = begin(env, 3)
     start = env.state_digest(0)
     last, _ = walk(env, steps)
@@ -136,6 +138,18 @@ def test_levels_are_numbers_that_grow() -> None:
             assert len(levels) == LEVELS and list(levels) == sorted(levels)
 
 
+def test_what_reaches_a_policy() -> None:
+    """A policy that sees depth and reads nothing, and one of each kind more."""
+    wanted = {
+        ((), False): {"layout", "start", "noise"},
+        (("depth",), False): {"camera", "layout", "start", "noise"},
+        (("rgb",), False): {*AXES} - {"language"},
+        ((), True): {"layout", "start", "noise", "language"},
+    }
+    for (images, reads), axes in wanted.items():
+        assert {a for a in AXES if PERTURBATIONS[a].reaches(images, reads)} == axes
+
+
 def test_the_page_lists_the_numbers() -> None:
     page = PAGE.read_text(encoding="utf-8")
     for name in AXES:
@@ -177,7 +191,7 @@ def test_random_levels_are_drawn_per_episode() -> None:
 def test_pictures_change_and_nothing_else(clean: dict[str, Any]) -> None:
     state = ("state", "sensor_param/fetch_head/extrinsic_cv")
     for axes, changed in (
-        ("camera:3", (RGB, DEPTH)),
+        ("camera:3", (RGB, DEPTH, NEAR)),
         ("light:3", (RGB,)),
         ("colours:3", (RGB,)),
     ):
@@ -188,8 +202,36 @@ def test_pictures_change_and_nothing_else(clean: dict[str, Any]) -> None:
         for moment in ("first", "last"):
             one, other = found[moment], clean[moment]
             assert same(one, other, *state), axes
-            for key in (RGB, DEPTH):
+            for key in (RGB, DEPTH, NEAR):
                 assert same(one, other, key) == (key not in changed), (axes, key)
+
+
+def test_textures_are_those_of_others_of_the_same_kind() -> None:
+    axis = PERTURBATIONS["colours"]
+    image = np.arange(200) < 80
+    found = {}
+    for level in (1, 5):
+        amounts = {n: q.levels[level - 1] for n, q in axis.quantities.items()}
+        drawn = Drawn("colours", level, 0, 3, amounts)
+        looks = found[level] = axis.looks(drawn, image)
+        np.testing.assert_array_equal(image[looks], image)
+        changed = (looks != np.arange(200)).mean()
+        assert abs(changed - amounts["textures"]) < 0.1
+    assert axis.looks(drawn, np.zeros(3, bool)).max() < 3
+
+
+def test_materials_are_drawn_as_others(clean: dict[str, Any]) -> None:
+    """Of a plugin that exchanges materials alone, which the rasterizer does not draw beyond the scene."""
+    exchange = Exchange()
+    with registered(exchange):
+        found = perturbed("exchange:1", steps=1)
+        assert not same(found["first"], clean["first"], RGB)
+        assert same(found["first"], clean["first"], DEPTH)
+        exchange.by = 0
+        assert same(perturbed("exchange:1", steps=1)["first"], clean["first"], RGB)
+        exchange.by = 10**6
+        with pytest.raises(UsageError, match="looks must return"):
+            perturbed("exchange:1", steps=1)
 
 
 def test_noise_of_sensing_and_acting(clean: dict[str, Any]) -> None:
@@ -368,6 +410,16 @@ class Late(Perturbation):
 
     def delay(self, drawn: Drawn) -> int:
         return int(drawn.amounts["delay"])
+
+
+class Exchange(Perturbation):
+    name = "exchange"
+    about = "materials in turn"
+    by = 1
+
+    def looks(self, drawn: Drawn, image: np.ndarray) -> np.ndarray:
+        numbers = np.arange(len(image)) + self.by
+        return numbers % len(image) if self.by < len(image) else numbers
 
 
 class Broken(Perturbation):

@@ -150,19 +150,14 @@ def test_perturbed_arms_are_paired_with_the_clean_episodes(
     out = tmp_path / "score"
     shutil.copytree(result[0].parent, out)
     asked = ["--policy", "random", "--worlds", "2", "--threads", "1", "--out", str(out)]
-    assert main(["score", *asked, "--perturb", "language:2", "--json"]) == 0
+    axes = "language:2,start:2"
+    assert main(["score", *asked, "--perturb", axes, "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
-    # What an axis does not change stays as it is: the sentences are told to a policy that does not listen.
+    low = told["axes"][0]["low"]
+    same = {"success_once": 0.0, "difference": 0.0, "low": low, "high": -low}
     assert told["axes"] == [
-        {
-            "axis": "language",
-            "level": 2,
-            "success_once": 0.0,
-            "difference": 0.0,
-            "low": told["axes"][0]["low"],
-            "high": -told["axes"][0]["low"],
-            "episodes": 3,
-        }
+        {"axis": axis, "level": 2, **same, "episodes": 3}
+        for axis in ("start", "language")
     ]
     assert set(told) == {"clean", "axes"} and told["clean"]["episodes"] == 3
     scored = read_result(out / "result.json")
@@ -170,21 +165,26 @@ def test_perturbed_arms_are_paired_with_the_clean_episodes(
     assert perturbed_arms(scored.facts) == told["axes"]
     assert check(scored, seed=1).wrong == {}
     for row in ROWS:
-        folder = out / "perturbed" / "language_2" / row.name
+        folder = out / "perturbed" / "start_2" / row.name
         for record in read_records(folder):
-            assert record.perturbation == {"language": {"level": 2}}
+            assert record.perturbation["start"]["level"] == 2
             (plain,) = (
                 e.record
                 for e in scored.episodes
                 if (e.row, e.record.index) == (row.name, record.index)
             )
-            assert record.final_state == plain.final_state
-            assert record.instruction != plain.instruction
+            assert record.final_state != plain.final_state
+            assert record.instruction == plain.instruction
     details = json.loads((out / "robustness.json").read_text())
-    assert details["axes"][0]["labels"] == [] and details["axes"][0]["p"] == 1.0
+    # Sentences do not reach a policy that does not listen: those episodes are not run again.
+    assert details["axes"][1]["unreached"] == [row.name for row in ROWS]
+    assert details["axes"][0]["unreached"] == []
+    assert not (out / "perturbed" / "language_2").exists()
+    assert details["axes"][1]["labels"] == [] and details["axes"][1]["p"] == 1.0
     page = (out / "robustness.html").read_text(encoding="utf-8")
     assert "random, subtasks, under perturbations" in page and '"language 2"' in page
-    assert "| policy | language 2 |" in leaderboard([scored])
+    assert "Nothing of language reaches the policy" in page
+    assert "| policy | start 2 | language 2 |" in leaderboard([scored])
     assert "Under perturbations" not in leaderboard([result[1]])
 
 

@@ -58,8 +58,10 @@ def test_demonstrations_are_of_the_profile_and_last_as_long_as_asked(
 
 
 def test_no_demonstration_is_cut_to_the_horizon_of_training() -> None:
-    env = make_env(Scene(**CLOSE, home="builtin_m0_00"), {}, Resources(1, 1, 1))
+    scene = Scene(**CLOSE, home="builtin_m0_00", randomise="start:2")
+    env = make_env(scene, {}, Resources(1, 1, 1))
     assert env.config.horizon == 200
+    assert env.config.perturbations.random == {"start": 2}
     assert env.config.stationary == ("head",)
 
 

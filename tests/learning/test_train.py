@@ -92,6 +92,19 @@ def test_options_are_set_together_with_changes() -> None:
     assert both.config.student.updates == 3
 
 
+def test_what_is_learned_from_is_perturbed_and_what_is_judged_is_not() -> None:
+    for kind in (DaggerSpec, PpoSpec):
+        scene = kind.of(out="run", randomise={"noise": 2}).scene
+        assert scene.env_options()["randomise"] == "noise:2"
+        assert scene.record()["randomise"] == "noise:2"
+        # What evaluations of a run are told besides task, homes and profile.
+        assert scene.apart_from_profile() == {}
+    # Runs without are recorded as those of older versions.
+    assert "randomise" not in DaggerSpec.of(out="run").scene.record()
+    with refused(where="randomise", said="unknown axis of perturbation"):
+        DaggerSpec.of(out="run", randomise="nosie:2")
+
+
 def test_a_configuration_of_ones_own_is_a_preset() -> None:
     own = configs.preset_of("dagger", "quick")
     spec = DaggerSpec.of(out="run", preset=own, rounds=1, worlds=3, seed=7)

@@ -7,7 +7,7 @@ level) alone, by streams of its own: everything that is not perturbed stays as i
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, Protocol
@@ -173,6 +173,8 @@ class Perturbation:
     """Whether backend warp has it: it changes starts or sentences alone, which the host makes."""
     needs: tuple[str, ...] = ()
     """Images that are drawn for `picture` besides those that are observed: "depth", "seg"."""
+    images: tuple[str, ...] = ("rgb", "depth", "seg", "target_depth")
+    """Images that `picture` changes."""
 
     def draw(self, drawn: Drawn, robot: Robot) -> Mapping[str, Any]:
         """Plain data that is drawn once for an episode and recorded with it."""
@@ -198,6 +200,13 @@ class Perturbation:
         """How a camera of the robot differs from where it should be; observed parameters do not tell."""
         raise NotImplementedError
 
+    def looks(self, drawn: Drawn, image: np.ndarray) -> np.ndarray:
+        """The material (M,) that each of the M of the scene is drawn as in the whole episode, by the rasterizer.
+
+        ``image``: (M,) bool, materials with an image that fits the mesh which it was made for.
+        """
+        raise NotImplementedError
+
     def picture(
         self, drawn: Drawn, images: Mapping[str, np.ndarray], frame: PictureFrame
     ) -> None:
@@ -221,6 +230,21 @@ class Perturbation:
         """The action (A,) float32 that is executed in place of ``action``."""
         raise NotImplementedError
 
+    def reaches(self, images: Collection[str], reads_instruction: bool) -> bool:
+        """Whether it may change what a policy does.
+
+        Args:
+            images: those that the policy sees, or that what it sees is made of.
+            reads_instruction: whether it may read instructions.
+        """
+        seen = {
+            "sentence": reads_instruction,
+            "mount": bool(images),
+            "looks": "rgb" in images,
+            "picture": bool({*images} & {*self.images}),
+        }
+        return any(seen.get(hook, True) for hook in self.hooks)
+
     @cached_property
     def hooks(self) -> frozenset[str]:
         """Names of the hooks that it overrides."""
@@ -231,7 +255,16 @@ class Perturbation:
         )
 
 
-HOOKS = ("objects", "start", "sentence", "mount", "picture", "delay", "act")
+HOOKS = (
+    "objects",
+    "start",
+    "sentence",
+    "mount",
+    "looks",
+    "picture",
+    "delay",
+    "act",
+)
 """Methods of a `Perturbation` that change something."""
 
 PERTURBATIONS: Registry[Perturbation] = Registry(

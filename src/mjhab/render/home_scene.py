@@ -81,6 +81,19 @@ class CameraChange(NamedTuple):
         return moved, mat @ self.turn, wide
 
 
+class ViewChange(NamedTuple):
+    """How views of the robot's cameras in W worlds differ from what they should be.
+
+    Attributes:
+        mounts: of the cameras; None for no difference.
+        looks: (W, M), the material that each of the M of the scene is drawn as; None for its own. The path tracer
+            does not have it.
+    """
+
+    mounts: CameraChange | None
+    looks: np.ndarray | None
+
+
 class _Mounts(NamedTuple):
     """Places of C robot cameras: body ids (C,), positions (C, 3) [m] and rotations (C, 3, 3) on these bodies, and
     vertical fields of view (C,) [rad]."""
@@ -238,15 +251,16 @@ class HomeRenderer:
         cameras: Cameras,
         outputs: Sequence[str],
         quality: Literal["fast", "nice"] = "fast",
+        looks: np.ndarray | None = None,
     ) -> dict[str, np.ndarray]:
-        """As `Rasterizer.render`; colours are those of the path tracer if there is one."""
+        """As `Rasterizer.render`; colours are those of the path tracer if there is one, without ``looks``."""
         drawn = outputs
         if self.tracer is not None:
             drawn = [name for name in outputs if name != "rgb"]
         images = {}
         if drawn:
             images = self.rasterizer.render(
-                home, body_pos, body_mat, cameras, drawn, quality
+                home, body_pos, body_mat, cameras, drawn, quality, looks=looks
             )
         if self.tracer is not None and "rgb" in outputs:
             images["rgb"] = self.tracer.render(home, body_pos, body_mat, cameras)
@@ -259,7 +273,7 @@ class HomeRenderer:
         size: int | tuple[int, int],
         outputs: Sequence[str],
         cameras: Sequence[str] | None = None,
-        changed: CameraChange | None = None,
+        changed: ViewChange | None = None,
     ) -> dict[str, np.ndarray]:
         """Render robot cameras in all worlds.
 
@@ -271,7 +285,7 @@ class HomeRenderer:
             size: side, or (height, width) [px].
             outputs: any of "rgb", "depth", "seg".
             cameras: names of C robot cameras; None takes all.
-            changed: how cameras differ from their mounts, if they do.
+            changed: how the views differ from what they should be, if they do.
 
         Returns:
             (W, C, height, width[, 3]) by output, as `Rasterizer.render` returns them.
@@ -283,17 +297,19 @@ class HomeRenderer:
         index = self.home_numbers(homes)
         fovy = self.fields_of_view(cameras)
         pos, mat = self.camera_poses(state, cameras)
-        if changed is not None:
-            pos, mat, fovy = changed.applied(pos, mat, fovy)
-            fovy = fovy[is_sane(state.body_pos, state.body_mat)]
         sane = is_sane(state.body_pos, state.body_mat)
         rows = slice(None) if sane.all() else sane
+        mounts, looks = changed if changed is not None else (None, None)
+        if mounts is not None:
+            pos, mat, fovy = mounts.applied(pos, mat, fovy)
+            fovy = fovy[rows]
         drawn = self.render(
             index[rows],
             state.body_pos[rows],
             state.body_mat[rows],
             Cameras(pos[rows], mat[rows], fovy, width, height, ROBOT_LEVEL_ERROR),
             outputs,
+            looks=looks if looks is None else looks[rows],
         )
         return {name: _placed(image, sane) for name, image in drawn.items()}
 

@@ -15,6 +15,7 @@ from mjhab.core.conventions.images import COLOURS, RGB, TARGET_DEPTH, TARGET_RGB
 from mjhab.render.home_scene import (
     ROBOT_LEVEL_ERROR,
     BodyPoses,
+    CameraChange,
     HomeRenderer,
     is_sane,
 )
@@ -43,6 +44,7 @@ def target_views(
     size: tuple[int, int],
     cameras: Sequence[str],
     outputs: Sequence[str] = (TARGET_DEPTH,),
+    changed: CameraChange | None = None,
 ) -> dict[str, np.ndarray]:
     """Draw the views of all worlds and cameras.
 
@@ -54,6 +56,8 @@ def target_views(
         size: (height, width) of the views, and of the robot's images beside them [px].
         cameras: names of C robot cameras.
         outputs: any of TARGET_OUTPUTS.
+        changed: how the cameras differ from their mounts, if they do. They are turned and narrowed as from where they
+            should be, so that the target is beside the middle of the views.
 
     Returns:
         By output "target_depth" (W, C, height, width), see `relative_bytes`, and "target_rgb" (W, C, height, width, 3),
@@ -78,15 +82,23 @@ def target_views(
         return views
     eye, own = pos[worlds, columns], mat[worlds, columns]
     look, distance = turned(eye, own, target[worlds])
+    # Columns of ``look`` are axes in the world; those of the relative rotation are axes in the robot's camera.
+    relative = np.stack([_in_frame(own, look[:, :, k]) for k in range(3)], axis=2)
+    wide = np.full(len(worlds), FOV)
+    if changed is not None:
+        one = CameraChange(*(part[worlds, columns][:, None] for part in changed))
+        moved = one.applied(eye[:, None], own[:, None], wide[:, None])
+        eye, own, wide = (part[:, 0] for part in moved)
+        look = own @ relative
     drawn = renderer.render(
         renderer.home_numbers(homes)[worlds],
         state.body_pos[worlds],
         state.body_mat[worlds],
-        Cameras(eye[:, None], look[:, None], FOV, width, height, ROBOT_LEVEL_ERROR),
+        Cameras(
+            eye[:, None], look[:, None], wide[:, None], width, height, ROBOT_LEVEL_ERROR
+        ),
         tuple(_DRAWN[output] for output in outputs),
     )
-    # Columns of ``look`` are axes in the world; those of the relative rotation are axes in the robot's camera.
-    relative = np.stack([_in_frame(own, look[:, :, k]) for k in range(3)], axis=2)
     pixels = _sums(relative[:, None, None], rays(size)[None])
     known = in_image(pixels, fovy[worlds, columns][:, None, None], aspect)
     for output in outputs:

@@ -286,7 +286,10 @@ class Observer(ObservedRows):
         """
         pos, mat = self.renderer.camera_poses(state, self.cameras)
         perturber = self.perturber if len(moments) else None
-        changed = None if perturber is None else perturber.mounts(moments, self.cameras)
+        changed = None
+        if perturber is not None:
+            scene = self.renderer.scene if "rgb" in self.drawn else None
+            changed = perturber.views(moments, self.cameras, scene)
         images: dict[str, np.ndarray] = {}
         if self.drawn:
             more: tuple[str, ...] = ()
@@ -300,12 +303,14 @@ class Observer(ObservedRows):
             place = _in_world(state.robot_q[:, BASE], self.robot.base_height, target)
             from mjhab.render.target_views import target_views  # loads numba
 
+            mounts = changed.mounts if changed else None
             looking = (self.renderer, state, homes, place, self.size, self.cameras)
-            images |= target_views(*looking, self.target_outputs)
-        if perturber is not None:
+            images |= target_views(*looking, self.target_outputs, mounts)
+        if perturber is not None and changed is not None:
             fovy = self.renderer.fields_of_view(self.cameras)
             seen = (pos, mat, np.broadcast_to(fovy, pos.shape[:2]))
-            _, true_mat, true_fovy = changed.applied(*seen) if changed else seen
+            mounts = changed.mounts
+            _, true_mat, true_fovy = mounts.applied(*seen) if mounts else seen
             focal = 0.5 * self.size[0] / np.tan(0.5 * true_fovy)
             perturber.pictures(moments, images, true_mat, focal)
         views = CameraInputs(

@@ -23,11 +23,12 @@ from mjhab.robots.robot import Robot
 from mjhab.tasks.instructions import Instructions
 
 if TYPE_CHECKING:
-    from mjhab.render.home_scene import CameraChange
+    from mjhab.render.home_scene import ViewChange
+    from mjhab.render.render_scene import RenderScene
 
 
-MOUNTS_KEPT = 4096
-"""Episodes whose mounts of cameras are kept in memory; each takes 0.3 KiB."""
+MOST_KEPT = 4096
+"""Episodes whose mounts and materials are kept in memory; each takes 0.3 to 2 KiB."""
 
 
 class PerturbedMoment(NamedTuple):
@@ -57,7 +58,7 @@ class Perturber:
         self.plan = plan
         self._robot = robot
         hooks = {hook for axis in plan.axes for hook in axis.hooks}
-        self.sees = bool(hooks & {"mount", "picture"})
+        self.sees = bool(hooks & {"mount", "looks", "picture"})
         """Whether images are perturbed."""
         self.acts = bool(hooks & {"delay", "act"})
         """Whether actions are perturbed."""
@@ -71,10 +72,8 @@ class Perturber:
         self._moments = [PerturbedMoment((), 0) for _ in range(num_worlds)]
         self._late: list[list[np.ndarray]] = [[] for _ in range(num_worlds)]
         """Actions of every world that are not executed yet."""
-        self._mounted: dict[
-            tuple[object, ...], tuple[np.ndarray, np.ndarray, np.ndarray]
-        ] = {}
-        """Mounts of the cameras by episode, see `_mount`."""
+        self._kept: dict[tuple[object, ...], Any] = {}
+        """Mounts and looks by episode."""
 
     def begin(self, world: int, seed: int, index: int) -> None:
         """Draw what is perturbed in the episode that a world begins."""
@@ -121,24 +120,53 @@ class Perturber:
 
     # -- images ----------------------------------------------------------------------------------------------------
 
-    def mounts(
-        self, moments: Sequence[PerturbedMoment], cameras: Sequence[str]
-    ) -> CameraChange | None:
-        """How the cameras of n worlds differ from their mounts; None if that is not perturbed."""
-        axes = [_with(moment.drawn, "mount") for moment in moments]
-        if not any(axes):
-            return None
-        found = [self._mount(drawn, tuple(cameras)) for drawn in axes]
-        from mjhab.render.home_scene import CameraChange  # loads numba and trimesh
+    def views(
+        self,
+        moments: Sequence[PerturbedMoment],
+        cameras: Sequence[str],
+        scene: RenderScene | None,
+    ) -> ViewChange:
+        """How the views of n worlds differ from what they should be; ``scene``: None where no colours are drawn."""
+        from mjhab.render.home_scene import (
+            CameraChange,
+            ViewChange,
+        )  # loads numba and trimesh
 
-        return CameraChange(*(np.stack(rows) for rows in zip(*found, strict=True)))
+        mounts = looks = None
+        axes = [_with(moment.drawn, "mount") for moment in moments]
+        if any(axes):
+            found = [self._mount(drawn, tuple(cameras)) for drawn in axes]
+            mounts = CameraChange(*(np.stack(rows) for rows in zip(*found, strict=True)))
+        axes = [_with(moment.drawn, "looks") for moment in moments]
+        if scene is not None and any(axes):
+            image = (scene.mat_texture >= 0) & ~scene.mat_pattern
+            looks = np.stack([self._looks(drawn, image) for drawn in axes])
+        return ViewChange(mounts, looks)
+
+    def _looks(self, drawn: Sequence[Drawn], image: np.ndarray) -> np.ndarray:
+        """(M,) int32 materials that those of the scene are drawn as; the same in a whole episode."""
+        key = ("looks", *_episode(drawn))
+        if key not in self._kept:
+            looks = np.arange(len(image), dtype=np.int32)
+            for one in drawn:
+                found = np.asarray(called(one.axis, "looks", one, image))
+                if found.shape != looks.shape or not set(found.tolist()) <= {
+                    *range(len(looks))
+                }:
+                    raise fault(
+                        PERTURBATIONS.described(one.axis),
+                        f"looks must return {len(looks)} numbers from 0 to {len(looks) - 1}.",
+                    )
+                looks = found[looks].astype(np.int32)
+            self._keep(key, looks)
+        return self._kept[key]
 
     def _mount(
         self, drawn: Sequence[Drawn], cameras: tuple[str, ...]
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Shift (C, 3), turn (C, 3, 3) and width (C,) of the cameras of a world; the same in a whole episode."""
-        key = (cameras, *((one.axis, one.level, one.seed, one.index) for one in drawn))
-        if key not in self._mounted:
+        key = (cameras, *_episode(drawn))
+        if key not in self._kept:
             shift = np.zeros((len(cameras), 3))
             turn = np.tile(np.eye(3), (len(cameras), 1, 1))
             widen = np.ones(len(cameras))
@@ -148,10 +176,14 @@ class Perturber:
                     shift[c] += turn[c] @ change.shift
                     turn[c] = turn[c] @ mat_from_rotation_vector(change.turn[None])[0]
                     widen[c] *= change.widen
-            if len(self._mounted) > MOUNTS_KEPT:
-                self._mounted.clear()
-            self._mounted[key] = shift, turn, widen
-        return self._mounted[key]
+            self._keep(key, (shift, turn, widen))
+        return self._kept[key]
+
+    def _keep(self, key: tuple[object, ...], found: Any) -> None:
+        """Keep what an axis gives once for an episode, whose images all need it."""
+        if len(self._kept) > MOST_KEPT:
+            self._kept.clear()
+        self._kept[key] = found
 
     def pictures(
         self,
@@ -185,6 +217,11 @@ class Perturber:
         """Restore a world from `get_state`; `begin` has been called for its episode."""
         self._moments[world] = self._moments[world]._replace(step=int(state["step"]))
         self._late[world] = [np.array(each, np.float32) for each in state["late"]]
+
+
+def _episode(drawn: Sequence[Drawn]) -> list[tuple[str, int, int, int]]:
+    """What everything that is drawn depends on."""
+    return [(one.axis, one.level, one.seed, one.index) for one in drawn]
 
 
 def _with(drawn: Sequence[Drawn], hook: str) -> list[Drawn]:

@@ -1,4 +1,4 @@
-"""Colours: furniture, walls, objects and the robot in other ones."""
+"""Colours: furniture, walls, objects and the robot in other ones, with the patterns and textures of others."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ LUMA = (0.2126, 0.7152, 0.0722)
 
 
 class ColoursAxis(Perturbation):
-    """Every segment of colour images has another hue, saturation and brightness; patterns keep their shape."""
+    """Every segment of colour images has another hue, saturation and brightness, and some have another's pattern."""
 
     name = "colours"
-    about = "hue, saturation and brightness of every piece of furniture, link and object"
+    about = "hue, saturation, brightness and texture of furniture, walls, floors, links and objects"
     quantities = {  # noqa: RUF012
         "hue": Quantity(
             "deg", (10.0, 20.0, 40.0, 80.0, 180.0), "largest turn of the hue"
@@ -31,8 +31,25 @@ class ColoursAxis(Perturbation):
         "brightness": Quantity(
             "", (0.05, 0.1, 0.2, 0.3, 0.4), "largest change of the brightness"
         ),
+        "textures": Quantity(
+            "",
+            (0.1, 0.2, 0.4, 0.6, 0.8),
+            "share of the materials that are drawn as another one of the home",
+        ),
     }
     needs = ("seg",)
+    images = ("rgb",)
+
+    def looks(self, drawn: Drawn, image: np.ndarray) -> np.ndarray:
+        """Draw some materials as others: patterns as patterns or plain ones, images of meshes as other images."""
+        random = drawn.stream("textures")
+        chosen = random.random(len(image)) < drawn.amounts["textures"]
+        found = np.arange(len(image))
+        for group in (image, ~image):
+            every = np.flatnonzero(group)
+            other = random.integers(max(len(every), 1), size=len(every))
+            found[every] = np.where(chosen[every], every[other], every)
+        return found
 
     def picture(
         self, drawn: Drawn, images: Mapping[str, np.ndarray], frame: PictureFrame

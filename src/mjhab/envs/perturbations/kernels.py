@@ -17,6 +17,10 @@ _kernel = compiler(_MODULE, fastmath=_NUMBERS)
 
 CELL_PX = 2
 """Side [px] of the cells of an image that face the light as one: half of all corners of things are in whole cells."""
+EDGE = np.float32(0.1)
+"""Neighbouring pixels whose distances differ by more than this share of them show different things."""
+OTHER = 255
+"""Entry of a cell that shows no surface."""
 HOLE_PX = 2
 """Side of the smallest hole in a depth image [px]; neighbouring ones make larger holes."""
 ONE = 256
@@ -27,8 +31,8 @@ ONE = 256
 def _faced(upper, lower, v, inv, toward, entry, most):
     """Write the entry of a table for every cell of two rows of pixels: how much what it shows faces the light.
 
-    upper, lower: (w,) float32 [m]. v: of the upper row, as tangent. entry: (cells,) uint8. most: the last entry. Where
-    nothing is hit, nothing faces it.
+    upper, lower: (w,) float32 [m]. v: of the upper row, as tangent. entry: (cells,) uint8. most: the last entry. A cell
+    across an edge, or where nothing is hit, has that of the one before it.
     """
     half = np.float32(0.5 * len(upper) - 0.5)
     zero = np.float32(0.0)
@@ -53,8 +57,13 @@ def _faced(upper, lower, v, inv, toward, entry, most):
         square = nx * nx + ny * ny + nz * nz + np.float32(1e-24)
         along = nx * toward[0] + ny * toward[1] + nz * toward[2]
         share = max(along / np.sqrt(square), zero) * top + np.float32(0.5)
-        seen = min(min(d, e), f) > zero
-        entry[cell] = np.uint8(np.int32(share if seen else zero))
+        step = max(max(d, e), f) - min(min(d, e), f)
+        entry[cell] = np.uint8(np.int32(share if step < EDGE * d else np.float32(OTHER)))
+    # A cell across an edge shows no surface of its own.
+    last = np.uint8(0)
+    for cell in range(len(upper) // CELL_PX):
+        last = entry[cell] if entry[cell] != OTHER else last
+        entry[cell] = last
 
 
 @_kernel

@@ -32,6 +32,7 @@ class LightAxis(Perturbation):
         ),
     }
     needs = ("depth",)
+    images = ("rgb",)
 
     def draw(self, drawn: Drawn, robot: Robot) -> Mapping[str, Any]:
         """Gain of red, green and blue, and the direction to the light (3,), world frame."""

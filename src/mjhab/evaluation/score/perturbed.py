@@ -8,9 +8,12 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from mjhab.config.env import EnvConfig
 from mjhab.config.perturbing import PERTURBATIONS, axes_text
 from mjhab.core.files.run_folder import write_text
-from mjhab.evaluation.evaluate import EvalSpec, run_evaluation
+from mjhab.envs.observations.modes import DRAWN_OUTPUTS, POINTCLOUD, mode_outputs
+from mjhab.evaluation.evaluate import EvalSpec, describe_policy, run_evaluation
+from mjhab.evaluation.resolve import full_spec
 from mjhab.evaluation.score.manifest import ScoreRow
 from mjhab.evaluation.score.result import (
     RESULT_FILE,
@@ -42,12 +45,15 @@ class PerturbedArm:
         axis: name of the axis. level: 1 to 5.
         rows: by row, what `paired` says of the score (A) and of this arm (B).
         won: by row, number of episodes that this arm does.
+        unreached: rows whose policy the axis does not reach, see `Perturbation.reaches`: their episodes are those of
+            the score and are not run again.
     """
 
     axis: str
     level: int
     rows: Mapping[str, Paired]
     won: Mapping[str, int]
+    unreached: tuple[str, ...] = ()
 
     @property
     def found(self) -> Paired:
@@ -83,7 +89,8 @@ class PerturbedArm:
         """`as_json`, with McNemar's p, the labels that change, and the same of every row."""
         labels = self.found.as_json()["labels"]
         rows = {name: pair.as_json() for name, pair in self.rows.items()}
-        return {**self.as_json(), "p": self.found.p, "labels": labels, "rows": rows}
+        told = {"p": self.found.p, "labels": labels, "rows": rows}
+        return {**self.as_json(), **told, "unreached": list(self.unreached)}
 
 
 @dataclass(frozen=True)
@@ -123,11 +130,16 @@ def score_perturbed(
     for axis, level in spec.axes.items():
         found = {}
         won = {}
+        unreached = []
         for row in rows:
-            records = _records(spec, result, row, axes_text({axis: level}), sinks)
+            if _reached(spec, row, axis, policies[row.name]["env_options"]):
+                records = _records(spec, result, row, axes_text({axis: level}), sinks)
+            else:
+                records = clean[row.name]
+                unreached.append(row.name)
             found[row.name] = paired(clean[row.name], records)
             won[row.name] = sum(record.success_once is True for record in records)
-        arms.append(PerturbedArm(axis, level, found, won))
+        arms.append(PerturbedArm(axis, level, found, won, tuple(unreached)))
     numbers = [arm.as_json() for arm in arms]
     facts = {**result.facts, "perturbed": numbers}
     result = write_result(spec.folder / RESULT_FILE, facts, result.episodes)
@@ -144,6 +156,19 @@ def judged(record: EpisodeRecord) -> EpisodeRecord:
     """A record as a score counts it: tainted episodes, and those that the policy could not finish, are no success."""
     valid = not (record.taint or record.error)
     return dataclasses.replace(record, success_once=record.success_once and valid)
+
+
+def _reached(
+    spec: ScoreSpec, row: ScoreRow, axis: str, options: Mapping[str, Any]
+) -> bool:
+    """Whether an axis may change what the policy of a row does, which sees the images of ``options``."""
+    facts = describe_policy(
+        full_spec(spec.policy, row.task, row.subtask or None, row.target or None)
+    )
+    images = mode_outputs(options.get("obs_mode", EnvConfig().obs_mode))
+    if POINTCLOUD in images:
+        images += DRAWN_OUTPUTS
+    return PERTURBATIONS[axis].reaches(images, facts.reads_instruction)
 
 
 def _records(
@@ -222,7 +247,8 @@ def robustness_page(robustness: Robustness, clean: Sequence[EpisodeRecord]) -> s
             ),
             Section(
                 "Differences",
-                "Perturbed minus clean, paired by row, seed and index: intervals by Newcombe, p by McNemar, exact.",
+                "Perturbed minus clean, paired by row, seed and index: intervals by Newcombe, p by McNemar, exact."
+                + _unreached(arms),
                 columns=columns,
                 rows=[_cells(arm) for arm in arms],
             ),
@@ -235,6 +261,14 @@ def robustness_page(robustness: Robustness, clean: Sequence[EpisodeRecord]) -> s
         ],
         {"arms-plot": bars(names, rates, bounds)},
     )
+
+
+def _unreached(arms: Sequence[PerturbedArm]) -> str:
+    """A sentence on the axes whose episodes are those of the score."""
+    names = [arm.axis for arm in arms if len(arm.unreached) == len(arm.rows)]
+    if not names:
+        return ""
+    return f" Nothing of {', '.join(names)} reaches the policy: these episodes are the clean ones."
 
 
 def _cells(arm: PerturbedArm) -> tuple[object, ...]:

@@ -21,6 +21,7 @@ class ViewBatch(NamedTuple):
 
     Attributes:
         home: (W,) i64 index of each world's home.
+        looks: (W, M) i32, the material that each of the scene's is drawn as.
         body_pos, body_mat: (W, B, 3) [m], (W, B, 3, 3) f64 world poses of the bodies.
         cam_pos, cam_mat: (W, C, 3) [m], (W, C, 3, 3) f64 world poses of the cameras, as in `Lens`.
         focal: (W, C) f64 [px].
@@ -29,6 +30,7 @@ class ViewBatch(NamedTuple):
     """
 
     home: np.ndarray
+    looks: np.ndarray
     body_pos: np.ndarray
     body_mat: np.ndarray
     cam_pos: np.ndarray
@@ -112,6 +114,7 @@ def draw_worlds(scenery, views, turn, near, cull, cell, stride, buffers):
                     poses,
                     scenery.lamps,
                     home,
+                    views.looks[world],
                     lens,
                     inverse,
                     ids,

@@ -107,9 +107,10 @@ class _Picture(NamedTuple):
 
 
 class _Shot(NamedTuple):
-    """Content of one image: home index and bodies of a world, and a camera."""
+    """Content of one image: home index, materials and bodies of a world, and a camera."""
 
     home: int
+    looks: np.ndarray
     bodies: Bodies
     lens: Lens
 
@@ -157,6 +158,7 @@ class Rasterizer:
         outputs: Sequence[str] = OUTPUTS,
         quality: Literal["fast", "nice"] = "fast",
         ssaa: int = 0,
+        looks: np.ndarray | None = None,
     ) -> dict[str, np.ndarray]:
         """Render C cameras in each of W worlds.
 
@@ -169,6 +171,7 @@ class Rasterizer:
                 people: lamp shadows, fine ambient occlusion, ssaa 2.
             ssaa: rgb samples per pixel side (supersampling); 0 takes that of ``quality``. Depth and seg have one sample
                 per pixel.
+            looks: (W, M), the material that each of the M of the scene is drawn as; None for its own.
 
         Returns:
             "rgb" (W, C, height, width, 3) uint8 sRGB; "depth" (W, C, height, width) float32 planar distance [m], 0 for
@@ -176,7 +179,7 @@ class Rasterizer:
 
         Raises:
             UsageError: unknown output or quality; shapes that do not fit together; a camera that is not finite;
-                home index or size out of range.
+                home index, material or size out of range.
         """
         _check_names(outputs, quality)
         home = read_only(home, np.int64)
@@ -195,6 +198,7 @@ class Rasterizer:
         samples = ssaa or (2 if quality == "nice" else 1)
         views = ViewBatch(
             home,
+            self._looks(looks, len(home)),
             body_pos,
             body_mat,
             cam_pos,
@@ -264,6 +268,17 @@ class Rasterizer:
             width >= 1 and height >= 1, "width and height", (width, height), "at least 1"
         )
 
+    def _looks(self, looks: np.ndarray | None, worlds: int) -> np.ndarray:
+        """(W, M) i32 materials of the scene's materials, checked: the kernels have no bounds checks."""
+        count = len(self.scene.mat_color)
+        if looks is None:
+            looks = np.broadcast_to(np.arange(count), (worlds, count))
+        looks = read_only(looks, np.int32)
+        check_shape("looks", looks, (worlds, count))
+        good = not looks.size or (looks.min() >= 0 and looks.max() < count)
+        check(good, "looks", looks, f"in 0..{count - 1}")
+        return looks
+
     def _draw(self, views: ViewBatch, w: int, c: int, picture: _Picture) -> None:
         """Render camera ``c`` of world ``w``."""
         height = picture.height
@@ -277,7 +292,7 @@ class Rasterizer:
             NEAR,
             views.level_error,
         )
-        shot = _Shot(int(views.home[w]), bodies, lens)
+        shot = _Shot(int(views.home[w]), views.looks[w], bodies, lens)
         fine = views.rgb.shape[1] > 0 and samples > 1
         if fine:
             buffers = self._buffers(height * samples, width * samples, 2 * samples)
@@ -365,6 +380,7 @@ class Rasterizer:
             buffers.draw,
             lamps,
             shot.home,
+            shot.looks,
             lens,
             buffers.inverse,
             buffers.ids,

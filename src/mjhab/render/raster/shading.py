@@ -108,7 +108,19 @@ def _fill_plain(line, left, count, r, g, b, p, d):
 
 @color_inline
 def _place_runs(
-    surface, poses, home, lens, openness, scratch, row, begin, end, inverse, ids, stride
+    surface,
+    poses,
+    home,
+    looks,
+    lens,
+    openness,
+    scratch,
+    row,
+    begin,
+    end,
+    inverse,
+    ids,
+    stride,
 ):
     """Find the runs of the pixels ``begin`` to ``end - 1`` of a row, and place the nodes of their light.
 
@@ -151,6 +163,7 @@ def _place_runs(
         m = surface.instance_material[home, i]
         if m < 0:
             m = surface.face_material[face]
+        m = looks[m]
         scratch.runs[runs, 0] = start
         scratch.runs[runs, 1] = x
         scratch.runs[runs, 2] = face
@@ -299,7 +312,19 @@ def _store(line, total, s, part, tone, rgb, row):
 
 @color_kernel
 def shade(
-    surface, poses, lamps, home, lens, inverse, ids, openness, tone, scratch, stride, rgb
+    surface,
+    poses,
+    lamps,
+    home,
+    looks,
+    lens,
+    inverse,
+    ids,
+    openness,
+    tone,
+    scratch,
+    stride,
+    rgb,
 ):
     """Shade an image into ``rgb`` (h, w, 3) uint8 sRGB from the z-buffer, averaging s x s samples in linear light.
 
@@ -307,6 +332,7 @@ def shade(
         surface, lamps, tone: see `Surface`, `Lamps` and `tone_curve`.
         poses: the scratch that `kernels.draw` filled.
         home: index of the home.
+        looks: (M,) i32, the material that each one is drawn as.
         lens: the camera; its focal length is in samples.
         inverse, ids: (s h, s w) f32 and i32, the z-buffer.
         openness: ambient occlusion of the z-buffer.
@@ -325,6 +351,7 @@ def shade(
                 surface,
                 poses,
                 home,
+                looks,
                 lens,
                 openness,
                 scratch,

@@ -39,7 +39,7 @@ from mjhab.reports.metrics import (
 from mjhab.reports.run import render_report
 from mjhab.rollout.films import Film, FilmSink
 from mjhab.rollout.loop import plain, rollout
-from mjhab.rollout.policy import Clipped, Composed, Policy, RolloutEnv, Timed
+from mjhab.rollout.policy import Clipped, Composed, Paced, Policy, RolloutEnv, Timed
 from mjhab.rollout.records import EpisodeRecord
 from mjhab.rollout.sinks import Sink
 from mjhab.rollout.store import REPORT, EvaluationFolder, StoreSink, read_records
@@ -49,7 +49,7 @@ from mjhab.tasks.style import Styles
 if TYPE_CHECKING:
     from mjhab.envs.sequential import SequentialTaskEnv
 
-REQUEST_FACTS = ("latency_ms", "out_of_range")
+REQUEST_FACTS = ("latency_ms", "late_steps", "out_of_range")
 """Entries of a summary about the requests of a policy, see `requests_of`."""
 FILM_QUALITY = 27
 """x264 constant rate factor. The film of a whole chain takes a few MB, because the report embeds it."""
@@ -208,6 +208,7 @@ def requests_of(policy: Policy) -> dict[str, Any]:
 
     Returns:
         "latency_ms": median "p50" and 99th percentile "p99" of their duration [ms], both None if none was answered.
+        "late_steps": control steps without an action of it, if the world did not wait for it.
         "out_of_range": number of values of its actions that were clipped, by entry of the action.
     """
     parts = policy.acting_policies if isinstance(policy, Composed) else (policy,)
@@ -215,6 +216,10 @@ def requests_of(policy: Policy) -> dict[str, Any]:
     timed = [part.latency_ms for part in parts if isinstance(part, Timed)]
     if timed:
         facts["latency_ms"] = _quantiles([value for values in timed for value in values])
+    late = [part.late_steps for part in parts if isinstance(part, Paced)]
+    counts = [steps for steps in late if steps is not None]
+    if counts:
+        facts["late_steps"] = int(np.sum(counts))
     clipped = [part.out_of_range for part in parts if isinstance(part, Clipped)]
     if clipped:
         total: Counter[str] = Counter()

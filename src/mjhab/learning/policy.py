@@ -70,6 +70,12 @@ class StudentPolicy:
         self._encoder.executed(actions)
         return actions.copy()
 
+    def plan(self, obs: Any, info: Mapping[str, Any]) -> np.ndarray:
+        """See `rollout.policy.Chunked`."""
+        self._plan(np.arange(len(self._chunks)), self._encoder.encode(obs, info), info)
+        self._step += 1
+        return self._chunks.copy()
+
     def replace_action(self, actions: np.ndarray, replan: bool = False) -> None:
         """See `rollout.policy.Correctable`."""
         self._encoder.executed(actions.copy())
@@ -123,6 +129,12 @@ class StudentEnsemble:
         actions = np.mean([member.act(obs, info) for member in self.members], axis=0)
         self.replace_action(actions)
         return actions
+
+    def plan(self, obs: Any, info: Mapping[str, Any]) -> np.ndarray:
+        """See `rollout.policy.Chunked`; as long as the shortest chunk."""
+        chunks = [member.plan(obs, info) for member in self.members]
+        length = min(chunk.shape[1] for chunk in chunks)
+        return np.mean([chunk[:, :length] for chunk in chunks], axis=0)
 
     def replace_action(self, actions: np.ndarray, replan: bool = False) -> None:
         """See `rollout.policy.Correctable`."""

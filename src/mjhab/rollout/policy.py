@@ -129,6 +129,25 @@ class Timed(Protocol):
 
 
 @runtime_checkable
+class Paced(Protocol):
+    """A policy for which the world may not wait."""
+
+    @property
+    def late_steps(self) -> int | None:
+        """Control steps so far in which it had no action ready; None where the world waits for it."""
+        ...
+
+
+@runtime_checkable
+class Chunked(Protocol):
+    """A policy that plans the next actions at once."""
+
+    def plan(self, obs: Any, info: Mapping[str, Any]) -> np.ndarray:
+        """Actions (W, H, A) float32 for this control step and the next ones, in place of `Policy.act`."""
+        ...
+
+
+@runtime_checkable
 class Clipped(Protocol):
     """A policy that counts the values of its actions that are out of range, which the environment clips."""
 

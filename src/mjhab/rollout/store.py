@@ -87,10 +87,12 @@ class EvaluationFolder(RunFolder):
             return 0.0
 
     def earlier_requests(self, names: Sequence[str]) -> dict[str, Any]:
-        """Those of the named entries, all maps, that the summary of the last start has."""
+        """Those of the named entries, maps or counts, that the summary of the last start has."""
         summary = self._earlier_summary()
         return {
-            name: summary[name] for name in names if isinstance(summary.get(name), dict)
+            name: summary[name]
+            for name in names
+            if isinstance(summary.get(name), dict | int)
         }
 
     def _earlier_summary(self) -> dict[str, Any]:

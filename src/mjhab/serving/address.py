@@ -10,14 +10,21 @@ from urllib.parse import parse_qsl, urlencode, urlsplit, urlunsplit
 
 from mjhab.core.errors import fault, unknown_name, wrong_value
 from mjhab.core.typed.bounds import Bound
-from mjhab.core.typed.checks import check, check_least
+from mjhab.core.typed.checks import check, check_between, check_least
 from mjhab.core.typed.flags import Flag
 from mjhab.serving.dialects.names import dialect_named
 
 SCHEMES = ("ws://", "wss://")
 PROMPTS = ("subtask", "task")
+CHUNK = "chunk"
+LAST = "last"
+STILL = "still"
+MEANWHILE = (CHUNK, LAST, STILL)
 TOKEN_VARIABLE = "MJHAB_POLICY_TOKEN"
 """Environment variable with the token that a server asks for, at both ends."""
+MAX_LATENCY_MS = 60_000
+MAX_HZ = 1000
+"""Largest numbers that are no mistake."""
 _CREDENTIALS = re.compile(r"(?<=://).*@")
 _FORM = "ws://host:port, as in ws://localhost:8000"
 
@@ -48,6 +55,20 @@ class Address:
     and for a connection until the server has answered once [s]. Never shorter than the timeout."""
     reconnect: Annotated[float, Flag(metavar="SECONDS")] = 20.0
     """With --policy ws://host:port: how long a lost server is looked for [s]."""
+    real_time: bool = False
+    """With --policy ws://host:port: the world goes on while the policy thinks, see --meanwhile."""
+    latency_ms: Annotated[float | None, Flag(metavar="MS", shown="default: measured")] = (
+        None
+    )
+    """With --real-time: every answer is there so long after its observation [ms]. Without it that is as long as its
+    request takes."""
+    hz: Annotated[float, Flag(metavar="HZ", shown="default: that of the control, 20")] = (
+        0.0
+    )
+    """With --real-time: control steps per second of the robot, by which a latency becomes a number of steps."""
+    meanwhile: Annotated[str, Flag(metavar="chunk|last|still")] = CHUNK
+    """With --real-time: what acts while the policy thinks: the rest of the chunk before, and its answer goes on from
+    where the steps have got to; the last action once more; or the robot stands still."""
     batch: bool = False
     """With --policy ws://host:port and the dialect behavior: one request for all worlds; arrays have the worlds in
     front, also when one is left."""
@@ -60,6 +81,21 @@ class Address:
         for name in ("timeout", "first_timeout", "reconnect"):
             value = getattr(self, name)
             check(0.0 < value < float("inf"), name, value, "a number of seconds above 0")
+        if self.meanwhile not in MEANWHILE:
+            raise unknown_name("meanwhile", self.meanwhile, MEANWHILE)
+        if self.latency_ms is not None:
+            check_between("latency_ms", self.latency_ms, 0, MAX_LATENCY_MS)
+        check_between("hz", self.hz, 0, MAX_HZ)
+        if not self.real_time:
+            for name in ("latency_ms", "hz", "meanwhile"):
+                value = getattr(self, name)
+                if value != getattr(type(self), name):
+                    raise wrong_value(
+                        name,
+                        value,
+                        "left out: the world waits for every answer",
+                        "Or add --real-time (in an address real_time=yes).",
+                    )
         if self.batch and not dialect.batches:
             raise wrong_value(
                 "batch",
@@ -141,5 +177,9 @@ _READERS = {
     "timeout": float,
     "first_timeout": float,
     "reconnect": float,
+    "real_time": _truth,
+    "latency_ms": float,
+    "hz": float,
+    "meanwhile": str,
     "batch": _truth,
 }

@@ -23,7 +23,7 @@ from websockets.sync.client import ClientConnection, connect
 
 from mjhab.core.errors import MjhabError, UsageError, fault
 from mjhab.serving.address import TOKEN_VARIABLE, Address
-from mjhab.serving.dialects.dialect import OWN, RESET_DONE, Ask
+from mjhab.serving.dialects.dialect import OWN, RESET_DONE, STEP, Ask
 from mjhab.serving.dialects.names import answered_in, dialect_named, greeted_in
 from mjhab.serving.packing import ProtocolError, pack, unpack
 from mjhab.serving.patience import GREETING_TIMEOUT_S, RETRY_S, Patience
@@ -51,6 +51,7 @@ class Connection:
     """A connection to a policy server.
 
     ``metadata``: the greeting of the server, empty before the first request. ``latency_ms``: duration of each request.
+    ``first_step``: what the last answer says of the control step that its first action is for; None for nothing.
 
     Args:
         address: which server, and how it is asked.
@@ -61,6 +62,7 @@ class Connection:
         self.address = address
         self.metadata: Mapping[str, Any] = {}
         self.latency_ms: list[float] = []
+        self.first_step: int | None = None
         self._dialect = dialect_named(address.dialect)
         self._socket: ClientConnection | None = None
         self._asked = False
@@ -190,6 +192,7 @@ class Connection:
         try:
             answer = unpack(message)
             actions = self._dialect.actions(answer, batch)
+            self.first_step = _first_step(answer)
         except ProtocolError as error:
             self.close()
             other = answered_in(answer)
@@ -339,6 +342,20 @@ class Connection:
         if other and other != address.dialect:
             raise wrong_dialect(address, other)
         return metadata
+
+
+def _first_step(answer: Any) -> int | None:
+    """The control step that the first action of an answer is for, if it says so.
+
+    Raises:
+        ProtocolError: it is no number of a step.
+    """
+    step = answer.get(STEP) if isinstance(answer, Mapping) else None
+    if step is None:
+        return None
+    if isinstance(step, bool) or not isinstance(step, int | np.integer) or step < 0:
+        raise ProtocolError(f"{STEP!r} is the number of a control step, not {step!r:.80}")
+    return int(step)
 
 
 def wrong_dialect(address: Address, spoken: str) -> UsageError:

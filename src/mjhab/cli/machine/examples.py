@@ -49,6 +49,10 @@ EXAMPLES = {
         "MJHAB_PLUGINS={}/control_mode.py mjhab eval --subtask pick --policy zero --control pd_joint_pos_smooth "
         "--episodes 2 --out runs/smooth",
     ),
+    "policy_server.py": Example(
+        "a policy server without mjhab, for `mjhab eval --policy ws://localhost:8000`",
+        "python {}/policy_server.py 8000",
+    ),
     "mug": Example(
         "an object from a GLB file",
         "MJHAB_PLUGINS={}/mug/mug.py mjhab eval --task tidy_house --subtask pick --target mug --episodes 4 "

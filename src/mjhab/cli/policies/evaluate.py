@@ -183,6 +183,8 @@ def _tell(spec: EvalSpec, run: Run, interrupted: bool, json: bool) -> None:
         print(
             f"answers of the policy: median {latency['p50']} ms, 99 % within {latency['p99']} ms"
         )
+    if "late_steps" in summary:
+        print(f"control steps without an action of the policy: {summary['late_steps']}")
     print(f"report: {run.report}")
 
 

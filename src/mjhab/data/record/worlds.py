@@ -137,6 +137,11 @@ class RecordedEnv(RolloutEnv, Protocol):
         ...
 
     @property
+    def controller(self) -> Any:
+        """Turns actions into commands; ``still(state)`` are actions (W, A) that hold the robots' poses."""
+        ...
+
+    @property
     def action_table(self) -> Sequence[Any]:
         """One entry with a ``name`` per dimension of an action."""
         ...

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import hashlib
 import json
 import re
@@ -10,6 +11,7 @@ from typing import Any, cast
 from mjhab.core.errors import wrong_value
 from mjhab.evaluation.resolve import OpenedPolicy, PolicyFacts, PolicyOptions
 from mjhab.evaluation.served.metadata import env_options_of, own_part, space_of
+from mjhab.evaluation.served.real_time import Pace
 from mjhab.rollout.loop import plain
 from mjhab.rollout.policy import Policy, RolloutEnv
 from mjhab.serving import require_serving
@@ -36,6 +38,7 @@ class ServerAddress(OpenedPolicy):
         finally:
             connection.close()
         own = own_part(metadata)
+        pace = Pace.of(address)
         metadata_json = _as_json(metadata)
         digest = hashlib.sha256(
             json.dumps(metadata_json, sort_keys=True).encode()
@@ -44,6 +47,7 @@ class ServerAddress(OpenedPolicy):
             "dialect": address.dialect,
             "execute": address.execute,
             "prompt": address.prompt,
+            **({"real_time": dataclasses.asdict(pace)} if pace else {}),
             "actions": space_of(address, metadata),
             "server_metadata_sha256": digest,
             "server": _as_json(own.get("identity", {})),

@@ -7,7 +7,7 @@ import uuid
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -20,11 +20,12 @@ from mjhab.core.rotations import wrap
 from mjhab.data.record.provenance import describe_run
 from mjhab.data.record.worlds import RecordedEnv
 from mjhab.envs.observations.modes import STATE_KEY, camera_key
-from mjhab.evaluation.served.action_spaces import ActionReader
+from mjhab.evaluation.served.action_spaces import GRIPPER, ActionReader
 from mjhab.evaluation.served.metadata import own_part, space_of
-from mjhab.serving.address import Address
+from mjhab.evaluation.served.real_time import Answer, Pace, Playback
+from mjhab.serving.address import CHUNK, Address
 from mjhab.serving.client import Connection, PolicyFault
-from mjhab.serving.dialects.dialect import Ask
+from mjhab.serving.dialects.dialect import STEP, Ask
 from mjhab.serving.patience import Patience
 
 MAX_FAULT_CHARACTERS = 300
@@ -37,13 +38,12 @@ TCP_POSE = "extra/tcp_pose_wrt_base"
 class _Running:
     """State of the running episode of one world.
 
-    session: unique id of the episode. chunk: actions received last. place: index of the next action in it.
-    step: control steps so far. begun: a request was sent. fault: error that ended the episode, or "".
+    session: unique id of the episode. playback: its chunks. step: control steps so far. begun: a request was sent.
+    fault: error that ended the episode, or "".
     """
 
     session: str
-    chunk: np.ndarray | None = None
-    place: int = 0
+    playback: Playback = field(default_factory=Playback)
     step: int = 0
     begun: bool = False
     fault: str = ""
@@ -86,6 +86,10 @@ class ServedPolicy:
                 "--instruction out, or serve a student that was trained with sentences.",
             )
         self._reader = ActionReader(space_of(address, metadata), self._env.action_table)
+        self._gripper = [entry.name for entry in env.action_table].index(GRIPPER)
+        self._pace = Pace.of(address)
+        self._late = 0
+        self._told_late = False
         needs = own.get("needs", ())
         self._needs = set(needs) if isinstance(needs, list) else set()
         self._config = describe_run(env, {}).config if self._needs else {}
@@ -95,10 +99,17 @@ class ServedPolicy:
 
     @property
     def latency_ms(self) -> list[float]:
-        """Durations of all requests so far [ms]."""
+        """How long after its observation every answer so far was there [ms]."""
         return [
-            value for connection in self._connections for value in connection.latency_ms
+            value if self._pace is None else self._pace.in_force_ms(value)
+            for connection in self._connections
+            for value in connection.latency_ms
         ]
+
+    @property
+    def late_steps(self) -> int | None:
+        """Control steps so far in which the policy had no action ready; None where the world waits for it."""
+        return None if self._pace is None else self._late
 
     @property
     def out_of_range(self) -> dict[str, int]:
@@ -124,7 +135,10 @@ class ServedPolicy:
         running = [
             w for w, world in enumerate(self._worlds) if asked[w] and not world.fault
         ]
-        due = [w for w in running if self._is_used_up(self._worlds[w])]
+        for w in running:
+            self._worlds[w].playback.receive(self._worlds[w].step, self._pace)
+        execute = self._address.execute
+        due = [w for w in running if self._worlds[w].playback.is_due(execute)]
         groups = [due] if self._address.batch else [[w] for w in due]
         groups = [group for group in groups if group]
         asks = [[self._ask(w, obs, info) for w in group] for group in groups]
@@ -133,25 +147,38 @@ class ServedPolicy:
         else:
             list(self._pool.map(self._ask_server, groups, asks))
         actions = np.zeros((len(self._worlds), len(self._env.action_table)), np.float32)
+        still = self._still() if self._pace is not None else actions
         for w in running:
             world = self._worlds[w]
             if not world.fault:
-                assert world.chunk is not None
-                actions[w] = world.chunk[world.place]
-                world.place += 1
+                world.playback.receive(world.step, self._pace)
+                actions[w], late = world.playback.act(still[w], self._pace)
+                self._late += late
                 world.step += 1
         return actions
+
+    def _still(self) -> np.ndarray:
+        """Actions (W, A) with which the robots stand still; what a hand was last told holds on."""
+        still = np.asarray(self._env.controller.still(self._env.state)).copy()
+        for w, world in enumerate(self._worlds):
+            last = world.playback.last
+            still[w, self._gripper] = (
+                2.0 * self._opening(w) - 1.0 if last is None else last[self._gripper]
+            )
+        return still
+
+    def _opening(self, w: int) -> float:
+        """Opening of the gripper of a world, 0 closed to 1 open."""
+        robot = self._env.layout.robot
+        q = self._env.state.robot_q[w]
+        opened = float(np.mean(q[robot.columns.fingers])) / robot.limits.gripper[1]
+        return float(np.clip(opened, 0.0, 1.0))
 
     def close(self) -> None:
         """Close the connections."""
         self._pool.shutdown(wait=False, cancel_futures=True)
         for connection in self._connections:
             connection.close()
-
-    def _is_used_up(self, world: _Running) -> bool:
-        if world.chunk is None:
-            return True
-        return world.place >= min(len(world.chunk), self._address.execute)
 
     def _ask_server(self, worlds: Sequence[int], asks: Sequence[Ask]) -> None:
         """Request new chunks for some worlds over one connection."""
@@ -172,8 +199,24 @@ class ServedPolicy:
                 world.fault = _fault_text(problem)
             else:
                 self._count_outside(chunk[: self._address.execute])
-                world.chunk = self._reader.read(chunk)
-                world.place = 0
+                actions = self._reader.read(chunk)
+                first, delay = world.step, 0
+                if self._pace is not None:
+                    delay = self._pace.delay(connection.latency_ms[-1])
+                    if connection.first_step is not None:
+                        first = connection.first_step
+                    self._tell_late(delay, len(actions))
+                world.playback.pending = Answer(actions, first, world.step + delay)
+
+    def _tell_late(self, delay: int, length: int) -> None:
+        """Tell once that no action of an answer is left when it is there."""
+        if delay < length or self._told_late or self._address.meanwhile != CHUNK:
+            return
+        self._told_late = True
+        say(
+            f"mjhab: {self._address.shown} answers {delay} control steps after the observation with {length} actions: "
+            "none is left to execute. Serve longer chunks, or give --meanwhile still."
+        )
 
     def _count_outside(self, chunk: np.ndarray) -> None:
         """Count the values of a chunk (H, A) that the environment clips, and tell the first of them."""
@@ -207,7 +250,6 @@ class ServedPolicy:
         q = self._env.state.robot_q[w]
         if Conventions.of(vars(self._env.config)).joint_angles == WRAPPED:
             q = within_half_a_turn(q, robot.endless)
-        opened = float(np.mean(q[robot.columns.fingers])) / robot.limits.gripper[1]
         return Ask(
             robot=robot.name,
             cameras=(external, wrist),
@@ -215,12 +257,13 @@ class ServedPolicy:
             wrist=None if hand is None else hand[w],
             state=np.asarray(obs[STATE_KEY][w], np.float32),
             arm=self._arm_positions(q),
-            gripper=float(np.clip(1.0 - opened, 0.0, 1.0)),
+            gripper=1.0 - self._opening(w),
             tcp=np.asarray(obs[TCP_POSE][w], np.float64),
             prompt=self._instruction or sentence,
             session=self._worlds[w].session,
             chunk=self._address.execute,
             own=self._own_part(w, obs) if self._needs else None,
+            timing=self._timing(w),
         )
 
     def _arm_positions(self, q: np.ndarray) -> np.ndarray:
@@ -231,9 +274,26 @@ class ServedPolicy:
         arm = q[columns]
         return np.where(np.isfinite(limits[:, 0]), arm, wrap(arm)).astype(np.float32)
 
+    def _timing(self, w: int) -> dict[str, Any] | None:
+        """See `Ask.timing`."""
+        if self._pace is None:
+            return None
+        measured = [connection.latency_ms[-1:] for connection in self._connections]
+        last = max((value for values in measured for value in values), default=0.0)
+        return {
+            STEP: self._worlds[w].step,
+            "hz": self._pace.hz,
+            "delay": self._pace.delay(last),
+        }
+
     def _own_part(self, w: int, obs: Any) -> dict[str, Any]:
         """The part of a request that only mjhab servers need: configuration, step, and state of the world."""
-        part: dict[str, Any] = {"config": self._config, "step": self._worlds[w].step}
+        world = self._worlds[w]
+        part: dict[str, Any] = {"config": self._config, "step": world.step}
+        if self._pace is not None:
+            part["chunk"] = True
+            if world.playback.last is not None:
+                part["executed"] = world.playback.last
         if self._instruction:
             part["instruction"] = self._instruction
         if "world" in self._needs:

@@ -25,7 +25,7 @@ from mjhab.evaluation.resolve import (
     open_policy,
 )
 from mjhab.rollout.loop import plain
-from mjhab.rollout.policy import Policy
+from mjhab.rollout.policy import Chunked, Correctable, Policy
 from mjhab.scenes.pack_source import Assets, pack_request
 from mjhab.scenes.packs import open_pack
 from mjhab.serving.dialects.dialect import OWN
@@ -163,7 +163,7 @@ class TwinSession:
             twin.expects = None
 
     def infer(self, request: Mapping[str, Any], batch: int | None) -> np.ndarray:
-        """Actions (B, 1, A).
+        """Actions (B, H, A): one, or where the request asks for a chunk as many as the policy plans.
 
         Raises:
             UsageError: the request lacks the states of the worlds, or they do not fit the environment.
@@ -174,7 +174,7 @@ class TwinSession:
             self.close()
             self._config = config
         actions = [_act(twin, part) for twin, part in self._assigned(parts)]
-        return np.stack(actions)[:, None]
+        return np.stack(actions)
 
     def _assigned(
         self, parts: Sequence[Mapping[str, Any]]
@@ -204,7 +204,7 @@ class TwinSession:
 
 
 def _act(twin: ObservationAdapter, part: Mapping[str, Any]) -> np.ndarray:
-    """Action (A,) of the twin's policy in the state of a world."""
+    """Actions (H, A) of the twin's policy in the state of a world."""
     env = twin.env
     place = _place_of(part)
     try:
@@ -221,9 +221,14 @@ def _act(twin: ObservationAdapter, part: Mapping[str, Any]) -> np.ndarray:
     info = env.info()
     if "instruction" in part:
         info["instruction"] = np.array([str(part["instruction"])], object)
-    action = twin.policy.act(obs, info)[0]
     twin.expects = dataclasses.replace(place, step=place.step + 1)
-    return action
+    policy = twin.policy
+    if part.get("executed") is not None and isinstance(policy, Correctable):
+        # What its world did meanwhile was not what it last said.
+        policy.replace_action(np.asarray(part["executed"], np.float32)[None], True)
+    if part.get("chunk") and isinstance(policy, Chunked):
+        return policy.plan(obs, info)[0]
+    return policy.act(obs, info)
 
 
 def _place_of(part: Mapping[str, Any]) -> Place:

@@ -10,6 +10,10 @@ import numpy as np
 
 OWN = "mjhab"
 """Key of the entries that only mjhab sends: in the greeting of its servers and in the requests of its clients."""
+REAL_TIME = "real_time"
+"""Key of `Ask.timing` in requests."""
+STEP = "step"
+"""Key in `Ask.timing`, and in answers the control step that the first action is for; without it that of the request."""
 RESET_DONE = "reset successful"
 """Answer to the message that begins an episode, in dialects that answer it."""
 
@@ -22,7 +26,9 @@ class Ask:
     external, wrist: images (H, W, 3) uint8, None if not rendered. state: (S,) float32 proprioception and goals. arm:
     (N,) positions of the arm's joints [rad]. gripper: 0 for an open gripper, 1 for a closed one. tcp: (7,) position [m]
     and quaternion wxyz in the frame of the base. prompt: the instruction. session: name of the episode's session.
-    chunk: largest number of actions in the answer. own: additional entries for servers of mjhab.
+    chunk: largest number of actions in the answer. own: additional entries for servers of mjhab. timing: where the
+    world goes on while the server thinks, what it must know of the time: "step", the control step of the observation in
+    its episode; "hz", control steps per second; "delay", control steps until the answer is expected to be there.
     """
 
     robot: str
@@ -37,6 +43,7 @@ class Ask:
     session: str
     chunk: int
     own: Mapping[str, Any] | None = None
+    timing: Mapping[str, Any] | None = None
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from mjhab.serving.dialects.dialect import OWN, Ask
+from mjhab.serving.dialects.dialect import OWN, REAL_TIME, Ask
 from mjhab.serving.packing import ProtocolError
 
 
@@ -17,11 +17,12 @@ def present(images: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def own_parts(asks: Sequence[Ask], batch: bool) -> dict[str, Any]:
-    """What servers of mjhab want to know, under their key; nothing for others."""
-    if any(ask.own is None for ask in asks):
-        return {}
+    """What servers of mjhab want to know, and of the time; under their keys, where they are asked for."""
+    entries = {OWN: [ask.own for ask in asks], REAL_TIME: [ask.timing for ask in asks]}
     return {
-        OWN: [dict(ask.own or {}) for ask in asks] if batch else dict(asks[0].own or {})
+        key: [dict(part) for part in parts] if batch else dict(parts[0])
+        for key, values in entries.items()
+        if len(parts := [value for value in values if value is not None]) == len(asks)
     }
 
 

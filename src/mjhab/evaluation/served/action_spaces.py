@@ -59,7 +59,7 @@ def space_named(name: str) -> ActionSpace:
 
 
 class ActionReader:
-    """Converts a policy's actions to actions of an environment.
+    """Converts a policy's actions to actions of an environment. ``gripper``: index of its entry in the latter.
 
     Args:
         name: of the action space.
@@ -73,6 +73,7 @@ class ActionReader:
         self._space = space_named(name)
         names = [entry.name for entry in table]
         self._width = len(names)
+        self.gripper = names.index(GRIPPER)
         wanted = _columns(self._space, table) or tuple(names)
         lacking = [column for column in wanted if column not in names]
         if lacking:
@@ -125,8 +126,7 @@ class ActionReader:
         actions = np.zeros((len(chunk), self._width), np.float32)
         actions[:, self._columns] = chunk
         if self._space.closes:
-            gripper = self._columns[self.names.index(GRIPPER)]
-            actions[:, gripper] = 1.0 - 2.0 * actions[:, gripper]
+            actions[:, self.gripper] = 1.0 - 2.0 * actions[:, self.gripper]
         return actions
 
 

@@ -20,7 +20,7 @@ from mjhab.core.rotations import wrap
 from mjhab.data.record.provenance import describe_run
 from mjhab.data.record.worlds import RecordedEnv
 from mjhab.envs.observations.modes import STATE_KEY, camera_key
-from mjhab.evaluation.served.action_spaces import GRIPPER, ActionReader
+from mjhab.evaluation.served.action_spaces import ActionReader
 from mjhab.evaluation.served.metadata import own_part, space_of
 from mjhab.evaluation.served.real_time import Answer, Pace, Playback
 from mjhab.serving.address import CHUNK, Address
@@ -86,7 +86,6 @@ class ServedPolicy:
                 "--instruction out, or serve a student that was trained with sentences.",
             )
         self._reader = ActionReader(space_of(address, metadata), self._env.action_table)
-        self._gripper = [entry.name for entry in env.action_table].index(GRIPPER)
         self._pace = Pace.of(address)
         self._late = 0
         self._told_late = False
@@ -162,8 +161,10 @@ class ServedPolicy:
         still = np.asarray(self._env.controller.still(self._env.state)).copy()
         for w, world in enumerate(self._worlds):
             last = world.playback.last
-            still[w, self._gripper] = (
-                2.0 * self._opening(w) - 1.0 if last is None else last[self._gripper]
+            still[w, self._reader.gripper] = (
+                2.0 * self._opening(w) - 1.0
+                if last is None
+                else last[self._reader.gripper]
             )
         return still
 

@@ -173,7 +173,8 @@ def _panel(
 def _limits(home: Home, pack: Pack, wall: Geom) -> tuple[tuple[str, float], ...]:
     """`Home.open_limits` of a home with one more wall."""
     limits = dict(home.open_limits)
-    for name, limit in wall_limits(replace(home, walls=(wall,)), pack):
+    (found,) = wall_limits([replace(home, walls=(wall,))], pack)
+    for name, limit in found:
         limits[name] = min(limit, limits.get(name, limit))
     return tuple(limits.items())
 

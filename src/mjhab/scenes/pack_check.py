@@ -124,20 +124,32 @@ def check_pack(pack: Pack, source: Path | str) -> Pack:
     with about(source):
         check_name("name of the pack", pack.name)
         extents = {name: _mesh_extent(name, mesh) for name, mesh in pack.meshes.items()}
-        _check_each("props", pack.props.values(), extents)
-        _check_each("articulations", pack.articulations.values(), extents)
-        _check_each("objects", pack.objects.values(), extents)
-        _check_each("homes", pack.homes, extents)
+        passed: set[int] = set()
+        _check_each("props", pack.props.values(), extents, passed)
+        _check_each("articulations", pack.articulations.values(), extents, passed)
+        _check_each("objects", pack.objects.values(), extents, passed)
+        _check_each("homes", pack.homes, extents, passed)
     return pack
 
 
-def _check_each(where: str, things: Iterable[Any], extents: Mapping[str, float]) -> None:
+def _check_each(
+    where: str, things: Iterable[Any], extents: Mapping[str, float], passed: set[int]
+) -> None:
     for k, thing in enumerate(things):
-        _check(f"{where}[{k}]", thing, extents)
+        _check(f"{where}[{k}]", thing, extents, passed)
 
 
-def _check(where: str, thing: Any, extents: Mapping[str, float]) -> None:
-    """Check a dataclass recursively. ``extents``: largest absolute vertex coordinate of every mesh, by name."""
+def _check(
+    where: str, thing: Any, extents: Mapping[str, float], passed: set[int]
+) -> None:
+    """Check a dataclass recursively.
+
+    Args:
+        where: its place in the pack, for messages.
+        thing: the dataclass.
+        extents: largest absolute vertex coordinate of every mesh, by name.
+        passed: identities of the tuples of the pack that were checked, which is extended.
+    """
     kind = type(thing)
     for field in fields(thing):
         value = getattr(thing, field.name)
@@ -149,11 +161,11 @@ def _check(where: str, thing: Any, extents: Mapping[str, float]) -> None:
         if (kind, field.name) in UNIT_VECTORS and value is not None:
             _check_unit(place, value)
         if is_dataclass(value):
-            _check(place, value, extents)
-        if isinstance(value, tuple):
-            for k, entry in enumerate(value):
-                if is_dataclass(entry):
-                    _check(f"{place}[{k}]", entry, extents)
+            _check(place, value, extents, passed)
+        # Homes of one floor plan share their walls: a hundred boxes, 84 times in ReplicaCAD.
+        if isinstance(value, tuple) and id(value) not in passed:
+            passed.add(id(value))
+            _check_each(place, filter(is_dataclass, value), extents, passed)
     if isinstance(thing, Geom):
         _check_size(f"{where}.size", thing, extents.get(thing.mesh, 0.0))
     if isinstance(thing, Link):

@@ -401,7 +401,11 @@ def test_states_of_furniture_that_is_welded_unless_asked_for() -> None:
         Layout(open_pack(name), file_roster(file, open_pack(name)))
         for name in (
             folder,
-            PackRequest(folder, ("kitchen_cupboards", "chest_of_drawers")),
+            PackRequest(
+                folder,
+                ("kitchen_cupboards", "chest_of_drawers"),
+                scenes=(episode.scene,),
+            ),
         )
     )
     with pytest.raises(

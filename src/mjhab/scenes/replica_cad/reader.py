@@ -132,10 +132,11 @@ def open_replica_cad(
 
 def _limited(homes: tuple[Home, ...], pack: Pack) -> tuple[Home, ...]:
     """Homes with the limits of doors that open toward a wall, which would else pass through it, and start in it."""
-    # Homes of one macro layout have the same.
-    alike = {(h.walls, h.articulations): h for h in homes}
-    found = {key: wall_limits(home, pack) for key, home in alike.items()}
-    return tuple(replace(h, open_limits=found[h.walls, h.articulations]) for h in homes)
+    limits = wall_limits(homes, pack)
+    return tuple(
+        replace(home, open_limits=found)
+        for home, found in zip(homes, limits, strict=True)
+    )
 
 
 def _warn(folder: Path, missing: list[Path], meaning: str) -> None:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from itertools import chain
+from typing import Any
 
 import numpy as np
 from scipy.spatial import ConvexHull
@@ -37,17 +39,31 @@ def free_travel(home: Home, pack: Pack) -> dict[str, float]:
     return result
 
 
-def wall_limits(home: Home, pack: Pack) -> tuple[tuple[str, float], ...]:
-    """Compute `Home.open_limits`: the hinged links that a wall stops, and where they do not touch it yet [rad]."""
+def wall_limits(homes: Iterable[Home], pack: Pack) -> list[tuple[tuple[str, float], ...]]:
+    """Compute `Home.open_limits` of homes: hinged links that a wall stops, and where they do not touch it yet [rad]."""
+    # Homes of one floor plan have the same walls, and most of their furniture stands in the same places.
+    known: dict[tuple[Geom, ...], tuple[list[FloorPolygon], dict[Placement, Any]]] = {}
     found = []
-    walls = _walls(home)
-    for placement in home.articulations:
-        for link in pack.articulations[placement.template].links:
-            free = travel(link, placement, walls) if link.joint == "hinge" else np.inf
-            if link.range[0] < free < link.range[1]:
-                limit = np.floor((free - _LIMIT_MARGIN_RAD) * 100) / 100
-                found.append((f"{placement.template}/{link.name}", float(limit)))
-    return tuple(found)
+    for home in homes:
+        if home.walls not in known:
+            known[home.walls] = _walls(home), {}
+        walls, limits = known[home.walls]
+        for placement in home.articulations:
+            if placement not in limits:
+                limits[placement] = tuple(_stopped_by(walls, placement, pack))
+        found.append(tuple(chain(*(limits[piece] for piece in home.articulations))))
+    return found
+
+
+def _stopped_by(
+    walls: Sequence[FloorPolygon], placement: Placement, pack: Pack
+) -> Iterator[tuple[str, float]]:
+    """Hinged links of a placed piece of furniture that walls stop, and where they do not touch them yet [rad]."""
+    for link in pack.articulations[placement.template].links:
+        free = travel(link, placement, walls) if link.joint == "hinge" else np.inf
+        if link.range[0] < free < link.range[1]:
+            limit = np.floor((free - _LIMIT_MARGIN_RAD) * 100) / 100
+            yield f"{placement.template}/{link.name}", float(limit)
 
 
 def stuck_links(home: Home, pack: Pack) -> list[str]:
@@ -87,13 +103,17 @@ def travel(link: Link, at: Placement, around: Sequence[FloorPolygon]) -> float:
     the end of its range if it meets none."""
     low, high = link.range
     pieces = [_flat(g, link, at.pos[2]) for g in link.geoms if g.collide]
+    # A hundred walls are around, and a link is near two of them: their boxes are compared all at once.
+    x_min, y_min, x_max, y_max = np.array([p.box for p in around]).reshape(-1, 4).T
 
     def free(q: float) -> bool:
-        moved = [
-            FloorPolygon(link.name, _moved(corners, link, at, q), z)
-            for corners, z in pieces
-        ]
-        return not any(piece.meets(other) for piece in moved for other in around)
+        for corners, z in pieces:
+            piece = FloorPolygon(link.name, _moved(corners, link, at, q), z)
+            left, front, right, back = piece.box
+            near = (x_min <= right) & (left <= x_max) & (y_min <= back) & (front <= y_max)
+            if any(piece.meets(around[k]) for k in np.flatnonzero(near).tolist()):
+                return False
+        return True
 
     good = low
     for q in np.linspace(low, high, _SWEEP_POSES + 1)[1:].tolist():

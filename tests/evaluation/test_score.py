@@ -179,6 +179,13 @@ def test_perturbed_arms_are_paired_with_the_clean_episodes(
     # Sentences do not reach a policy that does not listen: those episodes are not run again.
     assert details["axes"][1]["unreached"] == [row.name for row in ROWS]
     assert details["axes"][0]["unreached"] == []
+    redrawn = [
+        record.perturbation["start"]["redrawn"]
+        for row in ROWS
+        for record in read_records(out / "perturbed" / "start_2" / row.name)
+    ]
+    assert details["axes"][0]["redrawn"] == sum(redrawn)
+    assert (details["axes"][0]["kept"], details["axes"][1]["redrawn"]) == (0, 0)
     assert not (out / "perturbed" / "language_2").exists()
     assert details["axes"][1]["labels"] == [] and details["axes"][1]["p"] == 1.0
     page = (out / "robustness.html").read_text(encoding="utf-8")

@@ -47,6 +47,8 @@ class PerturbedArm:
         won: by row, number of episodes that this arm does.
         unreached: rows whose policy the axis does not reach, see `Perturbation.reaches`: their episodes are those of
             the score and are not run again.
+        redrawn: changes of starts that were impossible and drawn again.
+        kept: episodes in which no change of the start was possible.
     """
 
     axis: str
@@ -54,6 +56,8 @@ class PerturbedArm:
     rows: Mapping[str, Paired]
     won: Mapping[str, int]
     unreached: tuple[str, ...] = ()
+    redrawn: int = 0
+    kept: int = 0
 
     @property
     def found(self) -> Paired:
@@ -90,6 +94,7 @@ class PerturbedArm:
         labels = self.found.as_json()["labels"]
         rows = {name: pair.as_json() for name, pair in self.rows.items()}
         told = {"p": self.found.p, "labels": labels, "rows": rows}
+        told |= {"redrawn": self.redrawn, "kept": self.kept}
         return {**self.as_json(), **told, "unreached": list(self.unreached)}
 
 
@@ -131,6 +136,7 @@ def score_perturbed(
         found = {}
         won = {}
         unreached = []
+        drawn: list[Mapping[str, Any]] = []
         for row in rows:
             if _reached(spec, row, axis, policies[row.name]["env_options"]):
                 records = _records(spec, result, row, axes_text({axis: level}), sinks)
@@ -139,7 +145,11 @@ def score_perturbed(
                 unreached.append(row.name)
             found[row.name] = paired(clean[row.name], records)
             won[row.name] = sum(record.success_once is True for record in records)
-        arms.append(PerturbedArm(axis, level, found, won, tuple(unreached)))
+            drawn += [record.perturbation.get(axis, {}) for record in records]
+        redrawn = sum(int(told.get("redrawn", 0)) for told in drawn)
+        kept = sum(bool(told.get("kept")) for told in drawn)
+        arm = PerturbedArm(axis, level, found, won, tuple(unreached), redrawn, kept)
+        arms.append(arm)
     numbers = [arm.as_json() for arm in arms]
     facts = {**result.facts, "perturbed": numbers}
     result = write_result(spec.folder / RESULT_FILE, facts, result.episodes)
@@ -225,6 +235,8 @@ def robustness_page(robustness: Robustness, clean: Sequence[EpisodeRecord]) -> s
         ("lost", "n"),
         ("won", "n"),
         ("episodes", "n"),
+        ("redrawn", "n"),
+        ("kept", "n"),
     ]
     changes = [
         (f"{arm.axis} {arm.level}", before, after, count)
@@ -247,7 +259,8 @@ def robustness_page(robustness: Robustness, clean: Sequence[EpisodeRecord]) -> s
             ),
             Section(
                 "Differences",
-                "Perturbed minus clean, paired by row, seed and index: intervals by Newcombe, p by McNemar, exact."
+                "Perturbed minus clean, paired by row, seed and index: intervals by Newcombe, p by McNemar, exact. "
+                "Redrawn: changes of starts that were impossible; kept: episodes in which none was possible."
                 + _unreached(arms),
                 columns=columns,
                 rows=[_cells(arm) for arm in arms],
@@ -284,4 +297,6 @@ def _cells(arm: PerturbedArm) -> tuple[object, ...]:
         len(found.only_a),
         len(found.only_b),
         found.episodes,
+        arm.redrawn,
+        arm.kept,
     )

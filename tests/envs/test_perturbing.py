@@ -39,7 +39,8 @@ SIDE = 32
 RGB = "sensor_data/fetch_head/rgb"
 DEPTH = "sensor_data/fetch_head/depth"
 NEAR = "sensor_data/fetch_head/target_depth"
-SEEN = "rgbd+target_depth"
+NEAR_RGB = "sensor_data/fetch_head/target_rgb"
+SEEN = "rgbd+target_depth+target_rgb"
 
 
 def build(perturb: Any = "", **options: Any) -> SequentialTaskEnv:
@@ -191,9 +192,9 @@ def test_random_levels_are_drawn_per_episode() -> None:
 def test_pictures_change_and_nothing_else(clean: dict[str, Any]) -> None:
     state = ("state", "sensor_param/fetch_head/extrinsic_cv")
     for axes, changed in (
-        ("camera:3", (RGB, DEPTH, NEAR)),
-        ("light:3", (RGB,)),
-        ("colours:3", (RGB,)),
+        ("camera:3", (RGB, DEPTH, NEAR, NEAR_RGB)),
+        ("light:3", (RGB, NEAR_RGB)),
+        ("colours:3", (RGB, NEAR_RGB)),
     ):
         found = perturbed(axes)
         assert (found["start"], found["end"]) == (clean["start"], clean["end"]), axes
@@ -202,7 +203,7 @@ def test_pictures_change_and_nothing_else(clean: dict[str, Any]) -> None:
         for moment in ("first", "last"):
             one, other = found[moment], clean[moment]
             assert same(one, other, *state), axes
-            for key in (RGB, DEPTH, NEAR):
+            for key in (RGB, DEPTH, NEAR, NEAR_RGB):
                 assert same(one, other, key) == (key not in changed), (axes, key)
 
 
@@ -244,6 +245,10 @@ def test_noise_of_sensing_and_acting(clean: dict[str, Any]) -> None:
     assert set(np.unique(depth[kept] % 20)) == {0}
     assert np.abs(depth[kept].astype(int) - true[kept]).max() <= 10
     assert not same(found["first"], clean["first"], RGB)
+    near, there = found["first"][NEAR], clean["first"][NEAR]
+    # The same holes, at the same places of the image, and no other distances.
+    assert ((near == 0) & (there > 0)).any() and set(near[near != there]) == {0}
+    assert not same(found["first"], clean["first"], NEAR_RGB)
 
 
 def test_actions_come_late() -> None:

@@ -136,8 +136,3 @@ def test_modes_that_hide_the_target_and_backend_warp_are_refused() -> None:
     sim: Any = SimpleNamespace(layout=layout)
     with refused("obs_mode", "target_depth", said="cpu"):
         DeviceObserver(sim, None, "target_depth", HEAD, 32)  # type: ignore[arg-type]
-
-
-def test_colours_of_views_are_not_perturbed() -> None:
-    with refused("obs_mode", "target_rgb", said="perturb"):
-        mjhab.make(subtask="pick", obs_mode="target_rgb", perturb="light:2").reset()

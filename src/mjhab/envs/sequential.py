@@ -13,7 +13,6 @@ from gymnasium.vector import VectorEnv
 
 from mjhab.config.env import DENSE_MODES, EnvConfig
 from mjhab.core.arrays import Array, may_hold
-from mjhab.core.conventions.images import TARGET_RGB
 from mjhab.core.errors import wrong_value
 from mjhab.core.joints import BASE_XY
 from mjhab.core.typed.checks import check
@@ -90,13 +89,6 @@ class SequentialTaskEnv(TaskLoop, VectorEnv):
             config.perturbations, self.layout.robot, self.controller, self.num_envs
         )
         if self.perturber.sees:
-            if TARGET_RGB in self.observer.outputs:
-                raise wrong_value(
-                    "obs_mode",
-                    config.obs_mode,
-                    f"one without {TARGET_RGB}, which no axis that changes images reaches",
-                    "Or leave out camera, light, colours and noise of perturb and randomise.",
-                )
             self.observer.perturber = self.perturber
         self.reporter = Reporter(self.num_envs, self.layout, config)
         self._set_spaces(self.observer.single_space, render_modes=["rgb_array"])

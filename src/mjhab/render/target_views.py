@@ -7,7 +7,8 @@ pixels outside of its image stay empty, and so does the whole view where the tar
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Collection, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -17,6 +18,7 @@ from mjhab.render.home_scene import (
     BodyPoses,
     CameraChange,
     HomeRenderer,
+    ViewChange,
     is_sane,
 )
 from mjhab.render.raster.rasterizer import Cameras
@@ -36,6 +38,21 @@ _DRAWN = {TARGET_DEPTH: "depth", TARGET_RGB: RGB}
 """What is drawn for an output."""
 
 
+class PerturbedViews(NamedTuple):
+    """What perturbs views of targets in W worlds.
+
+    Attributes:
+        change: of the robot's cameras.
+        needs: images that are drawn for ``picture`` besides colours.
+        picture: changes colours in place, given a world, images (n, height, width, ...) by name, orientations
+            (n, 3, 3) and focal lengths (n,) [px] of its views.
+    """
+
+    change: ViewChange
+    needs: Collection[str]
+    picture: Callable[[int, dict[str, np.ndarray], np.ndarray, np.ndarray], None]
+
+
 def target_views(
     renderer: HomeRenderer,
     state: BodyPoses,
@@ -44,7 +61,7 @@ def target_views(
     size: tuple[int, int],
     cameras: Sequence[str],
     outputs: Sequence[str] = (TARGET_DEPTH,),
-    changed: CameraChange | None = None,
+    perturbed: PerturbedViews | None = None,
 ) -> dict[str, np.ndarray]:
     """Draw the views of all worlds and cameras.
 
@@ -56,8 +73,8 @@ def target_views(
         size: (height, width) of the views, and of the robot's images beside them [px].
         cameras: names of C robot cameras.
         outputs: any of TARGET_OUTPUTS.
-        changed: how the cameras differ from their mounts, if they do. They are turned and narrowed as from where they
-            should be, so that the target is beside the middle of the views.
+        perturbed: what perturbs the views, if something does. Cameras that differ from their mounts are turned and
+            narrowed as from where they should be, so that the target is beside the middle of the views.
 
     Returns:
         By output "target_depth" (W, C, height, width), see `relative_bytes`, and "target_rgb" (W, C, height, width, 3),
@@ -85,8 +102,13 @@ def target_views(
     # Columns of ``look`` are axes in the world; those of the relative rotation are axes in the robot's camera.
     relative = np.stack([_in_frame(own, look[:, :, k]) for k in range(3)], axis=2)
     wide = np.full(len(worlds), FOV)
-    if changed is not None:
-        one = CameraChange(*(part[worlds, columns][:, None] for part in changed))
+    names = dict.fromkeys(_DRAWN[output] for output in outputs)
+    mounts = looks = None
+    if perturbed is not None:
+        mounts, looks = perturbed.change
+        names |= dict.fromkeys(perturbed.needs if RGB in names else ())
+    if mounts is not None:
+        one = CameraChange(*(part[worlds, columns][:, None] for part in mounts))
         moved = one.applied(eye[:, None], own[:, None], wide[:, None])
         eye, own, wide = (part[:, 0] for part in moved)
         look = own @ relative
@@ -97,8 +119,17 @@ def target_views(
         Cameras(
             eye[:, None], look[:, None], wide[:, None], width, height, ROBOT_LEVEL_ERROR
         ),
-        tuple(_DRAWN[output] for output in outputs),
+        tuple(names),
+        looks=looks if looks is None else looks[worlds],
     )
+    if perturbed is not None and RGB in names:
+        focal = 0.5 * height / np.tan(0.5 * wide)
+        for world in np.unique(worlds).tolist():
+            rows = worlds == world
+            # Copies: depth has its noise as bytes.
+            own = {name: image[rows, 0] for name, image in drawn.items()}
+            perturbed.picture(world, own, look[rows], focal[rows])
+            drawn[RGB][rows, 0] = own[RGB]
     pixels = _sums(relative[:, None, None], rays(size)[None])
     known = in_image(pixels, fovy[worlds, columns][:, None, None], aspect)
     for output in outputs:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mjhab.core.arrays import map_record
-from mjhab.core.conventions.images import TARGET_OUTPUTS
+from mjhab.core.conventions.images import COLOURS, TARGET_OUTPUTS
 from mjhab.core.errors import UsageError
 from mjhab.core.joints import BASE, BASE_X, BASE_Y, BASE_YAW
 from mjhab.envs.observations.cameras import camera_table, intrinsic_matrix
@@ -288,7 +288,8 @@ class Observer(ObservedRows):
         perturber = self.perturber if len(moments) else None
         changed = None
         if perturber is not None:
-            scene = self.renderer.scene if "rgb" in self.drawn else None
+            coloured = {*self.drawn, *self.target_outputs} & {*COLOURS}
+            scene = self.renderer.scene if coloured else None
             changed = perturber.views(moments, self.cameras, scene)
         images: dict[str, np.ndarray] = {}
         if self.drawn:
@@ -301,11 +302,20 @@ class Observer(ObservedRows):
         if self.target_outputs:
             assert target is not None
             place = _in_world(state.robot_q[:, BASE], self.robot.base_height, target)
-            from mjhab.render.target_views import target_views  # loads numba
+            from mjhab.render.target_views import (  # loads numba
+                PerturbedViews,
+                target_views,
+            )
 
-            mounts = changed.mounts if changed else None
+            perturbed = None
+            if perturber is not None and changed is not None:
+                perturbed = PerturbedViews(
+                    changed,
+                    perturber.needs,
+                    lambda world, *seen: perturber.picture(moments[world], *seen),
+                )
             looking = (self.renderer, state, homes, place, self.size, self.cameras)
-            images |= target_views(*looking, self.target_outputs, mounts)
+            images |= target_views(*looking, self.target_outputs, perturbed)
         if perturber is not None and changed is not None:
             fovy = self.renderer.fields_of_view(self.cameras)
             seen = (pos, mat, np.broadcast_to(fovy, pos.shape[:2]))

@@ -200,11 +200,21 @@ class Perturber:
             mat: (n, C, 3, 3) orientations of the cameras.
             focal: (n, C) focal lengths [px].
         """
-        for w, (drawn, step) in enumerate(moments):
+        for w, moment in enumerate(moments):
             own = {name: rows[w] for name, rows in images.items()}
-            for one in _with(drawn, "picture"):
-                frame = PictureFrame(step, mat[w], focal[w])
-                called(one.axis, "picture", one, own, frame)
+            self.picture(moment, own, mat[w], focal[w])
+
+    def picture(
+        self,
+        moment: PerturbedMoment,
+        images: Mapping[str, np.ndarray],
+        mat: np.ndarray,
+        focal: np.ndarray,
+    ) -> None:
+        """Change the images (C, ...) of one world in place, see `pictures`."""
+        frame = PictureFrame(moment.step, mat, focal)
+        for one in _with(moment.drawn, "picture"):
+            called(one.axis, "picture", one, images, frame)
 
     # -- states ----------------------------------------------------------------------------------------------------
 

@@ -10,6 +10,7 @@ from typing import Any
 
 from mjhab.config.env import EnvConfig
 from mjhab.config.perturbing import PERTURBATIONS, axes_text
+from mjhab.core.conventions.images import RGB, TARGET_RGB
 from mjhab.core.files.run_folder import write_text
 from mjhab.envs.observations.modes import DRAWN_OUTPUTS, POINTCLOUD, mode_outputs
 from mjhab.evaluation.evaluate import EvalSpec, describe_policy, run_evaluation
@@ -178,6 +179,8 @@ def _reached(
     images = mode_outputs(options.get("obs_mode", EnvConfig().obs_mode))
     if POINTCLOUD in images:
         images += DRAWN_OUTPUTS
+    if TARGET_RGB in images:
+        images += (RGB,)
     return PERTURBATIONS[axis].reaches(images, facts.reads_instruction)
 
 

@@ -53,6 +53,10 @@ EXAMPLES = {
         "a policy server without mjhab, for `mjhab eval --policy ws://localhost:8000`",
         "python {}/policy_server.py 8000",
     ),
+    "grpo.py": Example(
+        "group-relative policy optimization of a small transformer",
+        "python {}/grpo.py --updates 100",
+    ),
     "mug": Example(
         "an object from a GLB file",
         "MJHAB_PLUGINS={}/mug/mug.py mjhab eval --task tidy_house --subtask pick --target mug --episodes 4 "

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import math
 
-from mjhab.cli.output import print_json, print_table
+from mjhab.cli.output import print_json, print_table, report
 from mjhab.core.progress import progress_bar
 from mjhab.data.store.places import entries
+from mjhab.evaluation.datasets.actions import replay_converted
 from mjhab.evaluation.datasets.replay import run_rendering, run_verification
 from mjhab.evaluation.datasets.specs import ReplaySpec
 
@@ -14,8 +15,24 @@ _MOST_ROWS = 20
 
 
 def run_replay(spec: ReplaySpec, json: bool) -> int:
-    """Run the command; returns 0, or 1 if a replayed episode differs from its recording."""
+    """Run the command; returns 0, or 1 if a replayed episode differs from its recording.
+
+    Of converted actions: 1 if an episode that succeeded does not with them.
+    """
+    if spec.actions:
+        return _convert(spec, json)
     return _verify(spec, json) if spec.verify else _render(spec, json)
+
+
+def _convert(spec: ReplaySpec, json: bool) -> int:
+    found = replay_converted(spec)
+    report(
+        json,
+        {"actions": spec.actions, **vars(found)},
+        f"{spec.actions}: of {found.recorded} episodes that succeeded {found.both} do with converted actions "
+        f"({found.episodes} replayed)",
+    )
+    return 0 if found.both == found.recorded else 1
 
 
 def _verify(spec: ReplaySpec, json: bool) -> int:

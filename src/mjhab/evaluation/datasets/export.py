@@ -6,15 +6,20 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from os import PathLike
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from mjhab.core.libraries import missing_library
 from mjhab.core.machine import install_extra
 from mjhab.data.export.maniskill import ManiSkillSet, write_maniskill
+from mjhab.data.export.outside import Outside
 from mjhab.data.export.request import ExportRequest
 from mjhab.data.select.until import Until
+from mjhab.evaluation.datasets.actions import base_height, converted, converted_columns
 from mjhab.evaluation.datasets.roots import roots_of
 from mjhab.evaluation.datasets.specs import (
     ExportSpec,
@@ -112,12 +117,26 @@ def run_lerobot(spec: LerobotSpec, begin: Begin | None = None) -> Exported:
         functools.partial(FilmWriter, quality=spec.quality, keyframes=KEYFRAMES),
         join_films,
         {"quality": spec.quality},
+        film_frames,
+    )
+    choice = Choice(
+        spec.rgb,
+        spec.depth,
+        spec.seg,
+        spec.until,
+        spec.colours,
+        spec.points,
+        spec.state,
+        spec.actions,
+        spec.language,
+        spec.held_out(),
     )
     return write_lerobot(
         _request(spec),
         films,
         version=spec.version,
-        choice=Choice(spec.rgb, spec.depth, spec.seg, spec.until),
+        choice=choice,
+        outside=Outside(converted, converted_columns, base_height),
         begin=begin,
     )
 
@@ -134,6 +153,16 @@ def run_maniskill(spec: ManiskillSpec, begin: Begin | None = None) -> ManiSkillS
     """
     until = Until.parse(spec.until)
     return write_maniskill(_request(spec), until=until, begin=begin, roots=roots_of)
+
+
+def film_frames(path: Path) -> Iterator[np.ndarray]:
+    """Frames (H, W, 3) uint8 of a video file, as a reader decodes them."""
+    import imageio_ffmpeg
+
+    reader = imageio_ffmpeg.read_frames(str(path))
+    width, height = next(reader)["size"]
+    for frame in reader:
+        yield np.frombuffer(frame, np.uint8).reshape(height, width, 3)
 
 
 def _request(spec: ExportSpec) -> ExportRequest:

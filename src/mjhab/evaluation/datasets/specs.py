@@ -10,7 +10,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Self, cast
 
 from mjhab.config.env_spec import EnvSpec, env_options
-from mjhab.core.errors import UsageError, missing_field, unknown_name
+from mjhab.core.errors import (
+    UsageError,
+    fault,
+    missing_field,
+    unknown_name,
+    wrong_value,
+)
+from mjhab.core.files.reading import read_json_object
 from mjhab.core.typed.bounds import Bound, Output
 from mjhab.core.typed.flags import Flag
 from mjhab.core.typed.options import take_options
@@ -23,6 +30,20 @@ PlacesLike = str | PathLike[str] | Sequence[str | PathLike[str]]
 """A shard, a folder of shards, or several of them."""
 MAX_QUALITY = 51
 """Largest constant rate factor of x264, for the smallest files."""
+
+
+CONVERTED = ("pd_joint_pos", "pd_ee_delta_pose", "pd_ee_pose")
+"""Control modes that recorded actions can be converted to."""
+
+
+def check_mode(mode: str) -> None:
+    """Refuse a control mode that actions cannot be converted to; "" is that of the recording.
+
+    Raises:
+        UsageError: names those that there are.
+    """
+    if mode not in ("", *CONVERTED):
+        raise unknown_name("control mode of converted actions", mode, CONVERTED)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -129,7 +150,50 @@ class LerobotSpec(ExportSpec):
     seg: bool = True
     """Segmentation, as columns; --no-seg leaves it out."""
     quality: Annotated[int, Bound(most=MAX_QUALITY)] = 18
-    """Constant rate factor of videos: 0 (lossless) to 51 (smallest)."""
+    """Constant rate factor of videos: 0 (smallest loss) to 51 (smallest)."""
+    colours: Annotated[str, Flag(metavar="film|png")] = "film"
+    """How colour images are stored: in videos, whose colours have half the resolution, or one by one without loss, for
+    small images."""
+    points: Annotated[int, Bound(most=100_000)] = 0
+    """Number of points of a cloud with colours in the frame of the base, made of the colour and depth images; 0 for
+    none."""
+    state: Annotated[str, Flag(metavar="own|recorded")] = "own"
+    """What observation.state holds: what the robot's own sensors tell, or all that was recorded, such as the 42 numbers
+    of MS-HAB."""
+    actions: Annotated[str, Flag(metavar="MODE", shown="default: as recorded")] = ""
+    """Convert the actions to a control mode: pd_joint_pos (absolute joints), pd_ee_delta_pose or pd_ee_pose (end
+    effector). `mjhab replay --verify --actions MODE` tells whether converted actions succeed."""
+    language: bool = False
+    """Store skills and wordings in the column language_persistent, too; LeRobot before 0.6 cannot load such a set."""
+    splits: Annotated[
+        Path | None, Flag(metavar="splits.json", shown="default: all are train")
+    ] = None
+    """File of `mjhab dataset make` that names the homes of the split val; their episodes come last."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for name, valid in (("colours", ("film", "png")), ("state", ("own", "recorded"))):
+            if getattr(self, name) not in valid:
+                raise unknown_name(name, getattr(self, name), valid)
+        check_mode(self.actions)
+        self.held_out()
+
+    def held_out(self) -> tuple[str, ...]:
+        """Homes of the split val.
+
+        Raises:
+            UsageError: the file cannot be read, or names no homes.
+        """
+        if self.splits is None:
+            return ()
+        val = read_json_object(self.splits).get("val")
+        homes = val.get("homes") if isinstance(val, Mapping) else None
+        if not isinstance(homes, list) or not all(isinstance(one, str) for one in homes):
+            raise fault(
+                self.splits,
+                'names no homes of the split val ({"val": {"homes": [...]}}).',
+            )
+        return tuple(homes)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -163,6 +227,9 @@ class ReplaySpec(SelectedSpec, EnvSpec):
         str | None, Flag(metavar="depth|rgb|rgbd|seg|pointcloud", shown="default: none")
     ] = None
     """Render these images of every state into a new shard, without simulation; several joined by +."""
+    actions: Annotated[str, Flag(metavar="MODE", shown="default: as recorded")] = ""
+    """With --verify: convert the actions to another control mode, as `mjhab export lerobot --actions` does, and tell
+    how many of the episodes that succeeded succeed with these, too."""
     out: Annotated[
         Path | None, Flag(metavar="FILE.h5", shown="default: none"), Output(".h5")
     ] = None
@@ -206,6 +273,9 @@ class ReplaySpec(SelectedSpec, EnvSpec):
             raise UsageError(
                 "say what to do, one of the two: --verify, or --render depth (or rgb, rgbd, ...)."
             )
+        check_mode(self.actions)
+        if self.actions and not self.verify:
+            raise wrong_value("actions", self.actions, "left out without --verify")
         if self.render is not None:
             self._check_images(self.render)
 

@@ -2,33 +2,27 @@
 
 A row holds the observation before an action, the action, and its reward and termination: N rows for N actions. The
 state after the last action has no row. Depth and segmentation are stored as columns of integers as in the shard, not as
-video, because LeRobot up to 0.4 cannot store them in a video without loss.
+video, because LeRobot cannot store them in a video without loss.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+import json
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyarrow as pa
 
 from mjhab.core.errors import UsageError, unknown_name
+from mjhab.core.files.checksums import KEY, README, list_files
 from mjhab.data.export.conventions import CONVENTIONS
-from mjhab.data.export.lerobot.card import card, image_notes
+from mjhab.data.export.lerobot.card import CardFacts, card, image_notes
 from mjhab.data.export.lerobot.features import (
-    ACTION,
-    CAMERA_POSE,
-    CAMERA_POSE_PATH,
-    ENVIRONMENT_STATE,
     FPS,
     IMAGES,
-    INTENDED,
-    MAPS,
-    STATE,
-    TELEPORTED,
+    LANGUAGE,
     Choice,
     Features,
     describe,
@@ -37,6 +31,7 @@ from mjhab.data.export.lerobot.features import (
 )
 from mjhab.data.export.lerobot.files import VERSIONS, Files, write_json
 from mjhab.data.export.lerobot.parts import EpisodeParts, ExportedEpisode, FilmTools
+from mjhab.data.export.lerobot.rows import RowNumbers, rows_of, segments_text, to_table
 from mjhab.data.export.lerobot.stats import (
     Stats,
     image_stats,
@@ -44,19 +39,19 @@ from mjhab.data.export.lerobot.stats import (
     sampled,
     vector_stats,
 )
+from mjhab.data.export.outside import Outside
 from mjhab.data.export.request import ExportRequest
 from mjhab.data.export.staging import ExportTarget, whole_folder
+from mjhab.data.select.clouds import CHANNELS
 from mjhab.data.select.describing import (
     instructions_of,
     navigates_by_teleport,
-    teleported_steps,
 )
-from mjhab.data.select.own_state import split_state
-from mjhab.data.select.sets import nothing_passes, select
+from mjhab.data.select.sets import Selection, nothing_passes, select
 from mjhab.data.select.until import Until
 from mjhab.data.store.damage import refuse_damage
-from mjhab.data.store.episode_data import last_label
-from mjhab.data.store.older.schemas import OLDER_ROBOT
+from mjhab.data.store.episode_data import RunInfo, last_label
+from mjhab.data.store.places import Place
 from mjhab.data.store.reading import RecordedEpisode, open_shard
 
 INFO = "meta/info.json"
@@ -67,6 +62,8 @@ SEGMENTS = "meta/segments.json"
 """Names of the segmentation ids: the id is the place in the list. LeRobot does not read it."""
 ABOUT = "meta/conventions.json"
 """CONVENTIONS. LeRobot does not read it."""
+LIST = "meta/files.json"
+"""Size and SHA-256 of every file, for ``mjhab dataset check`` and ``push``. LeRobot does not read it."""
 
 
 @dataclass(frozen=True)
@@ -84,6 +81,7 @@ def write_lerobot(
     *,
     version: str = "3.0",
     choice: Choice | None = None,
+    outside: Outside | None = None,
     begin: Callable[[int], Callable[[], object]] | None = None,
 ) -> Exported:
     """Write the episodes that pass the filter, in order of shard and name, as a LeRobot data set.
@@ -93,6 +91,7 @@ def write_lerobot(
         films: functions that write videos.
         version: of the format, "3.0" or "2.1".
         choice: parts of the episodes to export; None takes all.
+        outside: what robots and their controllers tell; None for what needs neither.
         begin: called with the number of episodes; returns a function that is called after each episode.
 
     Raises:
@@ -115,17 +114,36 @@ def write_lerobot(
         **films.settings,
         "episodes": found.fingerprint,
     }
+    order = _by_split(found, choice.held_out)
     target = ExportTarget(request.out, _foreign, request.overwrite, request.resume)
     with whole_folder(target, job) as staging:
         parts = EpisodeParts(staging.work, FPS, films)
         export = _Export(
-            staging.root, VERSIONS[version](staging.root, FPS), parts, choice
+            staging.root,
+            VERSIONS[version](staging.root, FPS),
+            parts,
+            (choice, outside or Outside()),
         )
-        for path, name in found.matched:
+        for path, name in order:
             export.add(path, name)
             if after is not None:
                 after()
-        return export.finish()
+        where = request.where.text if request.where else ""
+        return export.finish(len(order) - _held_out(found, choice.held_out), where)
+
+
+def _by_split(found: Selection, held_out: Sequence[str]) -> list[Place]:
+    """The episodes of the split train in their order, then those of val, whose homes are held out."""
+    pairs = list(zip(found.matched, found.records, strict=True))
+    parts = [
+        [p for p, r in pairs if (r.home in held_out) == val] for val in (False, True)
+    ]
+    return [*parts[0], *parts[1]]
+
+
+def _held_out(found: Selection, held_out: Sequence[str]) -> int:
+    """Number of episodes of the split val."""
+    return len([record for record in found.records if record.home in held_out])
 
 
 def _foreign(folder: Path) -> str:
@@ -133,33 +151,30 @@ def _foreign(folder: Path) -> str:
     return "" if (folder / INFO).is_file() else f"no {INFO}"
 
 
-@dataclass(frozen=True)
-class _Numbers:
-    """Indices in the data set of the names in one episode: its task, the subtasks of its plan, its actors."""
-
-    task: int
-    subtasks: list[int]
-    actors: list[int]
-
-
 class _Export:
     """State of a running export."""
 
     def __init__(
-        self, root: Path, files: Files, parts: EpisodeParts, choice: Choice
+        self,
+        root: Path,
+        files: Files,
+        parts: EpisodeParts,
+        asked: tuple[Choice, Outside],
     ) -> None:
         self._root = root
         self._files = files
         self._parts = parts
-        self._choice = choice
-        self._until = Until.parse(choice.until)
+        self._asked = asked
+        self._choice, self._outside = asked
+        self._until = Until.parse(self._choice.until)
         self._features: Features = {}
-        self._robot = OLDER_ROBOT
+        self._run: RunInfo | None = None
         self._cameras: Mapping[str, Any] = {}
         self._segments: Sequence[str] = ()
         self._tasks: dict[str, int] = {}
         self._subtasks: dict[str, int] = {}
         self._actors: dict[str, int] = {}
+        self._skills: dict[str, int] = {"": 0}
         self._made: list[ExportedEpisode] = []
         self._frames = 0
 
@@ -171,9 +186,9 @@ class _Export:
             with open_shard(path) as shard:
                 episode = shard.episode(name)
                 refuse_damage(episode)
-                features = describe(episode, self._choice)
+                features = describe(episode, *self._asked)
                 self._features = self._features or features
-                self._robot = episode.run.robot
+                self._run = self._run or episode.run
                 self._cameras = self._cameras or episode.run.layout.get("cameras", {})
                 self._name_segments(episode)
                 if features != self._features:
@@ -195,15 +210,20 @@ class _Export:
                 "before it: it was recorded with other assets. Choose with --where, or leave them out with --no-seg."
             )
 
-    def _count(self, made: ExportedEpisode) -> _Numbers:
+    def _count(self, made: ExportedEpisode) -> RowNumbers:
         """Indices of the names in an episode; new names get the next free index."""
-        return _Numbers(
+        for name in made.skills:
+            self._skills.setdefault(name, len(self._skills))
+        return RowNumbers(
+            made.row["episode_index"],
+            self._frames,
             self._tasks.setdefault(made.row["tasks"][0], len(self._tasks)),
             [
                 self._subtasks.setdefault(text, len(self._subtasks))
                 for text in made.subtasks
             ],
             [self._actors.setdefault(name, len(self._actors)) for name in made.actors],
+            self._skills,
         )
 
     def _make(self, number: int, episode: RecordedEpisode) -> ExportedEpisode:
@@ -221,6 +241,9 @@ class _Export:
         row["object_axes"] = conventions.object_axes
         row["joint_angles"] = conventions.joint_angles
         row["navigation"] = "teleport" if navigates_by_teleport(episode) else "drive"
+        told = episode.annotations
+        row["skills"] = segments_text(told, length)
+        row["wordings"] = json.dumps(told.wordings, ensure_ascii=False)
         made = ExportedEpisode(
             row,
             {},
@@ -229,73 +252,35 @@ class _Export:
             list(words.subtasks),
             list(episode.actors),
             episode.run.licence,
+            [each.skill for each in told.skills],
         )
-        columns = self._columns(episode, number, self._count(made))
+        numbers = self._count(made)
+        columns = rows_of(episode, length, numbers, self._features, self._asked)
         table = to_table(columns)
         self._parts.add_table(number, table)
         made.stats.update(
             {
-                key: _column_stats(values, self._features[key])
+                key: _column_stats(values)
                 for key, values in columns.items()
+                if key != LANGUAGE
             }
         )
         for key in film_features(self._features):
             samples: list[np.ndarray] = []
             camera = key.rpartition(".")[2]
-            self._parts.add_film(number, key, _shown(episode, length, camera, samples))
-            made.films[key] = int(episode.array(f"images/{camera}/rgb/ends")[length - 1])
+            frames = _shown(episode, length, camera, samples)
+            made.films[key] = self._parts.add_film(number, key, frames)
             made.stats[key] = image_stats(np.stack(samples))
+            if number == 0:
+                wanted = [episode.frame(camera, "rgb", t) for t in range(length)]
+                made.psnr.update({key: psnr(wanted, self._parts.shown(number, key))})
         made = replace(made, size=table.nbytes)
         self._parts.finish(number, made)
         return made
 
-    def _columns(
-        self, episode: RecordedEpisode, number: int, numbers: _Numbers
-    ) -> dict[str, np.ndarray]:
-        count = self._until.steps(episode.array("reward/success"))
-        state = split_state(episode)
-        done = np.zeros(count, bool)
-        done[-1] = True
-        active = np.minimum(
-            episode.array("subtasks/active")[:count], len(numbers.subtasks) - 1
-        )
-        columns = {
-            STATE: np.concatenate(list(state.own.values()), axis=1)[:count],
-            ACTION: episode.array("actions")[:count],
-            INTENDED: episode.array("actions_intended")[:count],
-            "next.reward": episode.array("reward/total")[:count].astype(np.float32),
-            "next.success": episode.array("reward/success")[:count].astype(bool),
-            "next.done": done,
-            TELEPORTED: teleported_steps(episode)[:count],
-            "subtask_index": np.array(numbers.subtasks, np.int64)[active],
-            "actor_index": np.array(numbers.actors, np.int64)[
-                episode.array("actor")[:count]
-            ],
-            "timestamp": (np.arange(count) / FPS).astype(np.float32),
-            "frame_index": np.arange(count),
-            "episode_index": np.full(count, number),
-            "index": np.arange(self._frames, self._frames + count),
-            "task_index": np.full(count, numbers.task),
-        }
-        if state.task:
-            columns[ENVIRONMENT_STATE] = np.concatenate(
-                list(state.task.values()), axis=1
-            )[:count]
-        for camera, output in episode.images:
-            if output not in MAPS:
-                continue
-            key = f"{IMAGES[output]}.{camera}"
-            if key in self._features:
-                frames = [episode.frame(camera, output, t)[..., 0] for t in range(count)]
-                columns[key] = np.stack(frames).astype(MAPS[output])
-        for key in self._features:
-            if key.startswith(f"{CAMERA_POSE}."):
-                path = CAMERA_POSE_PATH.format(key.removeprefix(f"{CAMERA_POSE}."))
-                columns[key] = episode.array(path)[:count]
-        return columns
-
-    def finish(self) -> Exported:
-        """Write the metadata of the data set."""
+    def finish(self, training: int, where: str) -> Exported:
+        """Write the metadata of the data set; the first ``training`` episodes are the split train."""
+        assert self._run is not None, "an export has an episode"
         self._files.arrange(self._parts, self._made)
         self._files.describe(
             [made.row for made in self._made], [made.stats for made in self._made]
@@ -303,15 +288,19 @@ class _Export:
         self._files.write_names("task", list(self._tasks))
         self._files.write_names("subtask", list(self._subtasks))
         self._files.write_names("actor", list(self._actors))
+        self._files.write_names("skill", list(self._skills))
         films = film_features(self._features)
+        splits = {"train": f"0:{training}"}
+        if training < len(self._made):
+            splits["val"] = f"{training}:{len(self._made)}"
         info = {
             "codebase_version": self._files.version,
-            "robot_type": self._robot,
+            "robot_type": self._run.robot,
             "total_episodes": len(self._made),
             "total_frames": self._frames,
             "total_tasks": len(self._tasks),
             "fps": FPS,
-            "splits": {"train": f"0:{len(self._made)}"},
+            "splits": splits,
             **self._files.paths,
             "features": self._features,
         }
@@ -320,9 +309,19 @@ class _Export:
         write_json(self._root / INFO, info)
         notes = self._image_notes()
         write_json(self._root / ABOUT, CONVENTIONS)
-        (self._root / "README.md").write_text(
-            card(self._robot, self._made, self._until, notes), encoding="utf-8"
+        told = CardFacts(
+            self._run,
+            self._features,
+            self._outside.columns(self._run, self._choice.actions),
+            self._choice,
+            where,
+            splits,
+            list(self._tasks),
         )
+        text = card(told, self._made, notes)
+        (self._root / README).write_text(text, encoding="utf-8")
+        files = list_files(self._root, frozenset({LIST}))
+        write_json(self._root / LIST, {KEY: files})
         images = [key for key in self._features if key.startswith(tuple(IMAGES.values()))]
         return Exported(len(self._made), self._frames, tuple(images))
 
@@ -350,25 +349,25 @@ def _shown(
         yield frame
 
 
-def _column_stats(values: np.ndarray, feature: dict[str, Any]) -> Stats:
-    return map_stats(values) if len(feature["shape"]) > 1 else vector_stats(values)
+def _column_stats(values: Any) -> Stats:
+    if not isinstance(values, np.ndarray):
+        chosen = sampled(len(values))
+        return image_stats(np.stack([values[t] for t in sorted(chosen)]))
+    if values.ndim < 3:
+        return vector_stats(values)
+    if values.shape[2] == len(CHANNELS):
+        stats = vector_stats(values.reshape(-1, len(CHANNELS)))
+        return {**stats, "count": np.array([len(values)])}
+    return map_stats(values)
 
 
-def to_table(columns: dict[str, np.ndarray]) -> pa.Table:
-    """Convert columns (N,), (N, D) or (N, H, W) to a table of numbers, lists of fixed length, or nested lists."""
-    return pa.table({key: _array(values) for key, values in columns.items()})
-
-
-def _array(values: np.ndarray) -> pa.Array:
-    flat = pa.array(np.ascontiguousarray(values).reshape(-1))
-    if values.ndim == 1:
-        return flat
-    if values.ndim == 2:
-        return pa.FixedSizeListArray.from_arrays(flat, values.shape[1])
-    count, height, width = values.shape
-    rows = pa.ListArray.from_arrays(
-        pa.array(np.arange(count * height + 1, dtype=np.int32) * width), flat
-    )
-    return pa.ListArray.from_arrays(
-        pa.array(np.arange(count + 1, dtype=np.int32) * height), rows
-    )
+def psnr(wanted: Sequence[np.ndarray], shown: Iterable[np.ndarray]) -> float:
+    """How well a film shows images (H, W, 3) uint8, as a peak signal-to-noise ratio [dB]; 0 if none is shown."""
+    height, width = wanted[0].shape[:2]
+    errors = [
+        np.square(image.astype(np.float64) - frame[:height, :width]).mean()
+        for image, frame in zip(wanted, shown, strict=False)
+    ]
+    if not errors:
+        return 0.0
+    return round(float(10 * np.log10(255**2 / max(np.mean(errors), 1e-9))), 1)

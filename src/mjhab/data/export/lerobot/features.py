@@ -10,6 +10,8 @@ import numpy as np
 
 from mjhab.core.errors import UsageError, fault
 from mjhab.core.timing import STEP_SECONDS
+from mjhab.data.export.outside import Outside
+from mjhab.data.select.clouds import CHANNELS
 from mjhab.data.select.describing import state_names
 from mjhab.data.select.own_state import split_state
 from mjhab.data.store.reading import RecordedEpisode
@@ -35,6 +37,20 @@ CAMERA_POSE_PATH = "obs/sensor_param/{}/cam2world_gl"
 ACTION = "action"
 INTENDED = "intended_action"
 """Not "action.intended", because LeRobot treats every feature whose name starts with "action" as policy output."""
+SKILL = "skill_index"
+"""What who acted was doing; names in meta/skills, 0 where it does not tell."""
+POINTS = "observation.pointcloud"
+"""Points (N, P, 6) with colours, see `clouds.CHANNELS`."""
+LANGUAGE = "language_persistent"
+"""Wordings and skills as LeRobot 0.6 reads them; older versions cannot load a set that has it."""
+OWN = "own"
+RECORDED = "recorded"
+STATES = (OWN, RECORDED)
+"""What STATE holds: what the robot's own sensors tell, or all that was recorded, such as MS-HAB's 42 numbers."""
+FILM = "film"
+PNG = "png"
+COLOURS = (FILM, PNG)
+"""How colour images are stored: in films, or one by one without loss."""
 Features = dict[str, dict[str, Any]]
 """Description of every column and video in info.json: dtype, shape, names."""
 
@@ -43,25 +59,47 @@ Features = dict[str, dict[str, Any]]
 class Choice:
     """Which parts of an episode to export: rgb images as videos, depth images and segmentation as columns, if recorded.
 
-    until: end of the exported part, see `Until.parse`.
+    until: end of the exported part, see `Until.parse`. colours: one of COLOURS. points: number of points of a cloud, 0
+    for none. state: one of STATES. actions: control mode that actions are converted to, "" for that of the recording.
+    language: whether there is LANGUAGE. held_out: homes whose episodes are the split "val".
     """
 
     rgb: bool = True
     depth: bool = True
     seg: bool = True
     until: str = ""
+    colours: str = FILM
+    points: int = 0
+    state: str = OWN
+    actions: str = ""
+    language: bool = False
+    held_out: tuple[str, ...] = ()
 
 
-def describe(episode: RecordedEpisode, choice: Choice) -> Features:
-    """The features of an episode by their LeRobot names."""
+def state_parts(
+    episode: RecordedEpisode, choice: Choice
+) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
+    """Parts (N+1, n) of STATE and of ENVIRONMENT_STATE by observation key."""
+    if choice.state == RECORDED:
+        parts = episode.table("obs/state") or {"state": episode.array("obs/state")}
+        return {key: rows.reshape(len(rows), -1) for key, rows in parts.items()}, {}
     state = split_state(episode)
-    actions = [str(name) for name in episode.run.layout.get("actions", [])]
-    action_size = episode.array("actions").shape[1]
+    return state.own, state.task
+
+
+def describe(
+    episode: RecordedEpisode, choice: Choice, outside: Outside | None = None
+) -> Features:
+    """The features of an episode by their LeRobot names."""
+    own, task = state_parts(episode, choice)
+    outside = outside or Outside()
+    action_size = outside.actions(episode, choice.actions)[0].shape[1]
+    names = [str(each["name"]) for each in outside.columns(episode.run, choice.actions)]
     action = _feature(
-        "float32", (action_size,), actions if len(actions) == action_size else None
+        "float32", (action_size,), names if len(names) == action_size else None
     )
     features: Features = {
-        STATE: _state_feature(state.own, episode),
+        STATE: _state_feature(own, episode),
         ACTION: action,
         INTENDED: dict(action),
         "next.reward": _feature("float32"),
@@ -70,14 +108,21 @@ def describe(episode: RecordedEpisode, choice: Choice) -> Features:
         TELEPORTED: _feature("bool"),
         "subtask_index": _feature("int64"),
         "actor_index": _feature("int64"),
+        SKILL: _feature("int64"),
         "timestamp": _feature("float32"),
         **{
             key: _feature("int64")
             for key in ("frame_index", "episode_index", "index", "task_index")
         },
     }
-    if state.task:
-        features[ENVIRONMENT_STATE] = _state_feature(state.task, episode)
+    if task:
+        features[ENVIRONMENT_STATE] = _state_feature(task, episode)
+    if choice.points:
+        features[POINTS] = _feature(
+            "float32", (choice.points, len(CHANNELS)), ["point", "channel"]
+        )
+    if choice.language:
+        features[LANGUAGE] = _feature("language")
     chosen = [
         (camera, output)
         for camera, output in episode.images
@@ -88,6 +133,9 @@ def describe(episode: RecordedEpisode, choice: Choice) -> Features:
         key = f"{IMAGES[output]}.{camera}"
         if output in MAPS:
             features[key] = _feature(MAPS[output], (height, width), ["height", "width"])
+        elif choice.colours == PNG:
+            shape = (height, width, 3)
+            features[key] = _feature("image", shape, ["height", "width", "channels"])
         else:
             features[key] = _film_feature(height, width)
     paths = set(episode.paths)

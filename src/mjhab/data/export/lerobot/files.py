@@ -10,12 +10,13 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Protocol
 
+import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
 from mjhab.core.names import below
 from mjhab.data.export.lerobot.parts import EpisodeParts, ExportedEpisode
-from mjhab.data.export.lerobot.stats import QUANTILES, Stats, aggregate
+from mjhab.data.export.lerobot.stats import QUANTILES, Stats, aggregate, quantiles_of
 
 CHUNK = 1000
 """Number of files per folder."""
@@ -46,7 +47,7 @@ class Files(Protocol):
         ...
 
     def write_names(self, what: str, names: Sequence[str]) -> None:
-        """Write the list of tasks, subtasks or actors; ``what`` is "task", "subtask" or "actor"."""
+        """Write the list of tasks, subtasks, actors or skills; ``what`` is "task", "subtask", "actor" or "skill"."""
         ...
 
 
@@ -125,7 +126,29 @@ class Files30:
         ]
         path = _folder(self.root / "meta/episodes/chunk-000/file-000.parquet")
         pq.write_table(pa.Table.from_pylist(rows), path, compression=_COMPRESSION)
-        write_json(self.root / "meta/stats.json", stats_lists(aggregate(stats)))
+        whole = aggregate(stats)
+        for key, each in self._quantiles(whole).items():
+            whole[key] |= each
+        write_json(self.root / "meta/stats.json", stats_lists(whole))
+
+    def _quantiles(self, stats: Mapping[str, Stats]) -> dict[str, Stats]:
+        """Quantiles of all rows, of the features that are numbers or lists of them.
+
+        LeRobot's own are means of those of the episodes, which are quantiles of nothing where episodes differ.
+        """
+        paths = sorted((self.root / "data").rglob("*.parquet"))
+        found = {}
+        for key, kind in zip(*_schema(paths[0]), strict=True):
+            wide = pa.types.is_fixed_size_list(kind)
+            if key not in stats or (pa.types.is_nested(kind) and not wide):
+                continue
+            parts = [pq.read_table(path, columns=[key]).column(key) for path in paths]
+            chunks = [chunk for part in parts for chunk in part.chunks]
+            rows = [chunk.flatten() if wide else chunk for chunk in chunks]
+            values = np.concatenate([row.to_numpy(zero_copy_only=False) for row in rows])
+            columns = values.reshape(-1, kind.list_size if wide else 1).astype(np.float64)
+            found[key] = quantiles_of(columns)
+        return found
 
     def write_names(self, what: str, names: Sequence[str]) -> None:
         """See `Files`."""
@@ -264,6 +287,11 @@ def _pandas(column: str) -> dict[str, Any]:
         "creator": {"library": "pyarrow", "version": pa.__version__},
         "pandas_version": "2.0.0",
     }
+
+
+def _schema(path: Path) -> tuple[list[str], list[pa.DataType]]:
+    schema = pq.read_schema(path)
+    return schema.names, schema.types
 
 
 def _place(number: int) -> dict[str, int]:

@@ -34,11 +34,13 @@ class FilmTools:
 
     open: opens a video for a path and frames per second. join: concatenates videos into a new one without re-encoding.
     settings: JSON data that determines the videos; an interrupted export can only be resumed with equal settings.
+    read: frames (H, W, 3) uint8 of a video, to tell how well it shows the images; None leaves that out.
     """
 
     open: Callable[[Path, int], Film]
     join: Callable[[Sequence[Path], Path], object]
     settings: Mapping[str, Any] = field(default_factory=dict)
+    read: Callable[[Path], Iterable[np.ndarray]] | None = None
 
 
 @dataclass(frozen=True)
@@ -46,8 +48,9 @@ class ExportedEpisode:
     """Metadata of an exported episode, JSON data except for ``stats``.
 
     row: of the table of episodes. stats: statistics per feature. size: of its rows in memory [bytes].
-    films: size of the images of each video [bytes]. subtasks: instructions of its plan's subtasks. actors: names of
-    its actors. licence: of the assets.
+    films: size of each video [bytes]. subtasks: instructions of its plan's subtasks. actors: names of its actors.
+    licence: of the assets. skills: names of what they did. psnr: how well videos show the images [dB], of the episode
+    for which that is measured.
     """
 
     row: dict[str, Any]
@@ -57,6 +60,8 @@ class ExportedEpisode:
     subtasks: list[str]
     actors: list[str]
     licence: str
+    skills: list[str] = field(default_factory=list)
+    psnr: dict[str, float] = field(default_factory=dict)
 
     @property
     def steps(self) -> int:
@@ -90,8 +95,8 @@ class EpisodeParts:
         pq.write_table(table, path, compression=_COMPRESSION)
         _sync(path)
 
-    def add_film(self, number: int, key: str, frames: Iterable[np.ndarray]) -> None:
-        """Write a video of an episode."""
+    def add_film(self, number: int, key: str, frames: Iterable[np.ndarray]) -> int:
+        """Write a video of an episode; returns its size [bytes]."""
         path = self._path(number, f"{key}.mp4")
         film = self._tools.open(path, self._fps)
         try:
@@ -102,6 +107,12 @@ class EpisodeParts:
             film.abort()
             raise
         _sync(path)
+        return path.stat().st_size
+
+    def shown(self, number: int, key: str) -> Iterable[np.ndarray]:
+        """Frames of a video of an episode as they are shown; none if nothing reads them."""
+        read = self._tools.read
+        return () if read is None else read(self._path(number, f"{key}.mp4"))
 
     def finish(self, number: int, made: ExportedEpisode) -> None:
         """Mark an episode as finished by writing its metadata."""

@@ -78,12 +78,17 @@ def aggregate(parts: Sequence[Mapping[str, Stats]]) -> dict[str, Stats]:
 
 
 def _stats(rows: np.ndarray, count: int) -> Stats:
-    quantiles = np.quantile(rows, list(QUANTILES.values()), axis=0)
     return {
         "min": rows.min(axis=0),
         "max": rows.max(axis=0),
         "mean": rows.mean(axis=0),
         "std": rows.std(axis=0),
         "count": np.array([count]),
-        **dict(zip(QUANTILES, quantiles, strict=True)),
+        **quantiles_of(rows),
     }
+
+
+def quantiles_of(rows: np.ndarray) -> Stats:
+    """Quantiles per column of rows (N, D)."""
+    found = np.quantile(rows, list(QUANTILES.values()), axis=0)
+    return dict(zip(QUANTILES, found, strict=True))

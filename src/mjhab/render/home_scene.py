@@ -254,17 +254,22 @@ class HomeRenderer:
         looks: np.ndarray | None = None,
     ) -> dict[str, np.ndarray]:
         """As `Rasterizer.render`; colours are those of the path tracer if there is one, without ``looks``."""
-        drawn = outputs
-        if self.tracer is not None:
-            drawn = [name for name in outputs if name != "rgb"]
+        tracer = self.tracer if "rgb" in outputs else None
+        drawn = set(outputs)
+        if tracer is not None:
+            drawn -= {"rgb"}
+            drawn |= set(tracer.guides)
+            looks = None
         images = {}
         if drawn:
             images = self.rasterizer.render(
-                home, body_pos, body_mat, cameras, drawn, quality, looks=looks
+                home, body_pos, body_mat, cameras, sorted(drawn), quality, looks=looks
             )
-        if self.tracer is not None and "rgb" in outputs:
-            images["rgb"] = self.tracer.render(home, body_pos, body_mat, cameras)
-        return images
+        if tracer is not None:
+            images["rgb"] = tracer.render(
+                home, body_pos, body_mat, cameras, images, quality
+            )
+        return {name: images[name] for name in outputs}
 
     def robot_views(
         self,

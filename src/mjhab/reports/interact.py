@@ -107,6 +107,7 @@ _PHOTO_COLUMNS = {
     "sps_mean": "control steps/s",
     "sps_ci95": "± 95 %",
     "reset_and_step_sps": "with the reset",
+    "cpu_ms": "cores, together [ms/step]",
     "rss_mb": "process [MB]",
 }
 

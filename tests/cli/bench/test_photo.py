@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -46,6 +47,8 @@ def test_it_measures_each_number_of_samples(
     assert len(actions) == 2 * (photo.WARM_STEPS + 2 * 5)
     assert 0.29 < np.abs(actions).max() <= photo.CLIP
     page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+    found = json.loads((tmp_path / "out" / "photo.json").read_text(encoding="utf-8"))
+    assert all(point["cpu_ms"] >= 0.0 for point in found["points"])
     assert "8 paths per pixel" in page and "MS-HAB, RTX 4090" in page
     assert "fetch_head" in capsys.readouterr().out
 

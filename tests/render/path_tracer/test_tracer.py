@@ -12,11 +12,16 @@ import pytest
 from mjhab.layout.layout import Layout
 from mjhab.render.build_scene import SceneBuilder
 from mjhab.render.home_scene import HomeRenderer
-from mjhab.render.path_tracer.windows import one_home, open_windows
+from mjhab.render.path_tracer.windows import (
+    SKYLIGHT_M,
+    one_home,
+    open_windows,
+    skylights,
+)
 from mjhab.render.raster.rasterizer import Cameras, Rasterizer, look_at
 from mjhab.scenes.builtin.materials import Material
 from mjhab.scenes.builtin.pack import builtin_pack
-from mjhab.scenes.shading import CUDA, EVENING, LLVM, Shading, shading_of
+from mjhab.scenes.shading import CUDA, EVENING, LLVM, MIDDAY, Shading, shading_of
 from mjhab.scenes.shapes.meshes import Mesh
 from mjhab.scenes.spec import Geom, Light
 from mjhab.sim.mujoco.cpu import CpuSimulator
@@ -28,7 +33,8 @@ if importlib.util.find_spec("mitsuba") is None:
     missing("mitsuba is absent: pip install 'mjhab[photo]'", whole_module=True)
 
 from mjhab.render.path_tracer import library
-from mjhab.render.path_tracer.tracer import PathTracer
+from mjhab.render.path_tracer.lights import TIMES
+from mjhab.render.path_tracer.tracer import PathTracer, _normals
 
 SIZE = (48, 36)
 FOVY = 1.0
@@ -99,8 +105,14 @@ def test_depth_of_a_home_is_that_of_the_rasterizer(renderer: HomeRenderer) -> No
 def test_windows_are_holes_of_the_size_of_their_panes(renderer: HomeRenderer) -> None:
     home = [h.name for h in renderer.layout.pack.homes].index("builtin_m0_00")
     alone = one_home(renderer.scene, home)
-    opened, count = open_windows(alone)
-    assert count == 3
+    opened, windows = open_windows(alone)
+    assert len(windows) == 3
+    x0, y0, x1, y1 = renderer.layout.pack.homes[home].floor
+    middle = np.array([(x0 + x1) / 2, (y0 + y1) / 2, 1.2])
+    for window in windows:
+        sides = (np.linalg.norm(window.across), np.linalg.norm(window.up))
+        assert sorted(sides) == pytest.approx([1.15 / 2, 1.4 / 2])
+        assert (middle - window.middle) @ window.inward > 0.0
 
     def volume(scene: Any) -> float:
         walls = scene.instance_seg == scene.seg_names.index("wall")
@@ -114,11 +126,63 @@ def test_windows_are_holes_of_the_size_of_their_panes(renderer: HomeRenderer) ->
     )
 
 
+def test_the_sun_shines_through_the_ceiling_of_a_home_without_windows() -> None:
+    height = 2.4
+    builder = SceneBuilder(1)
+    builder.add_world_geom(Geom("box", (3.0, 3.0, 0.1), (0.0, 0.0, -0.1)), seg="floor")
+    for x, y, half in ((3, 0, (0.1, 3.1)), (-3, 0, (0.1, 3.1)), (0, 3, (3.1, 0.1)), (0, -3, (3.1, 0.1))):  # fmt: skip
+        size = (*half, height / 2)
+        builder.add_world_geom(Geom("box", size, (x, y, height / 2)), seg="wall")
+    builder.add_light(0, Light((1.0, 1.9, 2.2)))
+    scene = builder.build()
+    # Straight down: the picture shows 2.7 m across, x to the right and y up.
+    pos, mat = bodies(0.0)
+    view = cameras(((0.0, -0.01, 2.3), (0.0, 0.0, 0.0)))
+    traced = {
+        light: PathTracer(scene, Shading(8, light, denoise=False))
+        for light in (MIDDAY, EVENING)
+    }
+    day, evening = (
+        tracer.render(np.zeros(1, int), pos, mat, view, {})[0, 0].mean(axis=-1)
+        for tracer in traced.values()
+    )
+    to_sun = np.array(TIMES[MIDDAY].to_sun)
+    x, y = np.array([1.0, 1.9]) - height * to_sun[:2] / to_sun[2]
+    pixels = SIZE[1] / (2.0 * 2.3 * np.tan(FOVY / 2))
+    row, column = round(SIZE[1] / 2 - y * pixels), round(SIZE[0] / 2 + x * pixels)
+    patch = (slice(row - 3, row + 4), slice(column - 3, column + 4))
+    beside = (slice(row - 3, row + 4), slice(-10, None))
+    assert day[patch].mean() > 1.5 * day[beside].mean()
+    assert evening[patch].mean() < 1.5 * evening[beside].mean()
+
+
+def test_a_ceiling_is_whole_but_for_its_skylights() -> None:
+    span = (-3.0, -2.0, 3.0, 2.0)
+    lamps = np.array([[0.0, 0.0, 2.3], [0.5, 0.0, 2.3], [2.0, 1.0, 2.3], [2.9, 0.0, 2.3]])
+    holes, pieces = skylights(lamps, span, 2.5)
+    # One lamp is beside another, one at the wall.
+    places = [hole.middle.tolist() for hole in holes]
+    assert places == [[0.0, 0.0, 2.5], [2.0, 1.0, 2.5]]
+    area = sum((x1 - x0) * (y1 - y0) for x0, y0, x1, y1 in pieces)
+    assert area == pytest.approx(24.0 - 2 * (2 * SKYLIGHT_M) ** 2)
+    assert skylights(lamps, (0.0, 0.0, 0.0, 0.0), -np.inf)[0] == []
+
+
+def test_the_denoiser_is_shown_the_normals_of_what_is_seen(room: PathTracer) -> None:
+    pos, mat = bodies(-5.0)
+    view = cameras(((1.2, 0.9, 0.8), (0.0, 0.0, 0.0)))
+    drawn = Rasterizer(room.scene, 1).render(np.zeros(1, int), pos, mat, view, ["depth"])
+    depth = drawn["depth"][0, 0]
+    slope = 2.0 * np.tan(FOVY / 2) / SIZE[1]
+    normal = _normals(depth, slope, view.mat[0, 0])[depth > 0.0]
+    assert (np.abs(normal - (0.0, 0.0, 1.0)).max(axis=-1) < 0.02).mean() > 0.9
+
+
 def test_a_body_moves_and_worlds_do_not_depend_on_each_other(room: PathTracer) -> None:
     view = ((1.2, 0.9, 0.8), (0.0, 0.0, 0.2))
     pos, mat = bodies(0.2, 0.5)
     home = np.zeros(2, int)
-    both = room.render(home, pos, mat, cameras(view, view))
+    both = room.render(home, pos, mat, cameras(view, view), {})
     raster = Rasterizer(room.scene, 1)
     drawn = raster.render(home, pos, mat, cameras(view, view), ("depth",))["depth"]
     traced = room.depth(home, pos, mat, cameras(view, view))
@@ -127,7 +191,8 @@ def test_a_body_moves_and_worlds_do_not_depend_on_each_other(room: PathTracer) -
     assert (np.abs(drawn[0] - drawn[1]) > 0.05).mean() > 0.02
     # In the other order, so that what was drawn before shows.
     for w in (1, 0):
-        alone = room.render(home[:1], pos[w : w + 1], mat[w : w + 1], cameras(view))
+        poses = pos[w : w + 1], mat[w : w + 1]
+        alone = room.render(home[:1], *poses, cameras(view), {})
         np.testing.assert_array_equal(alone[0], both[w])
 
 
@@ -145,7 +210,9 @@ def test_a_texture_lies_as_the_rasterizer_draws_it() -> None:
     scene = builder.build()
     home = np.zeros(1, int)
     drawn = Rasterizer(scene, 1).render(home, pos, mat, view, ("rgb", "depth"))
-    found = PathTracer(scene, Shading(samples=16)).render(home, pos, mat, view)[0, 0]
+    tracer = PathTracer(scene, Shading(samples=16))
+    assert set(tracer.guides) == set(drawn)
+    found = tracer.render(home, pos, mat, view, drawn)[0, 0]
     for y, x in ((11, 16), (11, 32), (26, 16), (26, 32)):
         a, b = (im[y, x].astype(float) for im in (found, drawn["rgb"][0, 0]))
         assert np.corrcoef(a, b)[0, 1] > 0.9, (y, x, a, b)
@@ -155,9 +222,9 @@ def test_metal_and_evening_look_otherwise(room: PathTracer) -> None:
     view = cameras(((1.2, 0.9, 0.8), (0.0, 0.0, 0.2)))
     pos, mat = bodies(0.2)
     home = np.zeros(1, int)
-    day = room.render(home, pos, mat, view)
+    day = room.render(home, pos, mat, view, {})
     evening = PathTracer(room.scene, Shading(1, EVENING, denoise=False))
-    night = evening.render(home, pos, mat, view)
+    night = evening.render(home, pos, mat, view, {})
     # Under the open sky it is day by the sun, and lamps are warm.
     assert day.mean() > night.mean()
     red, blue = ([picture[..., k].mean() for picture in (night, day)] for k in (0, 2))

@@ -83,8 +83,8 @@ def measure_photo(
     """Measure every number of samples, ``runs`` times.
 
     Returns:
-        All ``points`` (mean and 95 % confidence interval of the control steps/s; largest memory), and the last pictures
-        by number of samples.
+        All ``points`` (mean and 95 % confidence interval of the control steps/s; ``cpu_ms``, time of processors that a
+        step takes, all threads together; largest memory), and the last pictures by number of samples.
 
     Raises:
         UsageError: the path tracer cannot run here.
@@ -107,7 +107,9 @@ def measure_photo(
                 advance()
             point = summarize(runs)
             del point["worlds"], point["device_mb"]
-            points.append({"samples": samples, **point})
+            busy = sum(run["cpu_s"] for run in runs) / (spec.runs * spec.steps)
+            cpu_ms = round(1000.0 * busy, 1)
+            points.append({"samples": samples, "cpu_ms": cpu_ms, **point})
     shading = spec.shading(spec.samples[0])
     common = {
         "home": scene.home,
@@ -130,14 +132,15 @@ def measure_run(
     with MemorySampler(resident_mb, lambda: None) as memory:
         before = time.perf_counter()
         bench.reset()
-        begun = time.perf_counter()
+        begun, busy = time.perf_counter(), time.process_time()
         for action in actions:
             images = bench.step(action)
-        ended = time.perf_counter()
+        ended, still = time.perf_counter(), time.process_time()
     measured = {
         "worlds": 1,
         "sps": round(len(actions) / (ended - begun), 2),
         "reset_and_step_sps": round(len(actions) / (ended - before), 2),
+        "cpu_s": still - busy,
         "device_mb": None,
         "rss_mb": memory.peak_rss_mb,
     }

@@ -12,6 +12,7 @@ _HEADS = {
     "sps_mean": "SPS",
     "sps_ci95": "± 95 %",
     "reset_and_step_sps": "with reset",
+    "cpu_ms": "core ms/step",
     "rss_mb": "RSS MB",
 }
 

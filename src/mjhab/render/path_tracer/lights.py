@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from mjhab.render.path_tracer.windows import Opening
 from mjhab.scenes.shading import EVENING, MIDDAY
 
 LAMP_RADIUS_M = 0.09
@@ -37,16 +38,21 @@ class Daylight:
     exposure: float
     open: float
 
+    @property
+    def sunny(self) -> bool:
+        """Whether the sun is up."""
+        return any(self.sun)
+
 
 TIMES = {
     MIDDAY: Daylight(
         (3.2, 5.2, 8.5),
-        (8.0, 8.6, 9.2),
+        (8.4, 8.6, 8.8),
         (2.2, 2.3, 2.0),
         (26.0, 24.0, 20.0),
         (0.44, 0.62, 0.65),
         (0.62, 0.59, 0.54),
-        2.1,
+        2.4,
         0.085,
     ),
     EVENING: Daylight(
@@ -55,8 +61,8 @@ TIMES = {
         (0.012, 0.012, 0.014),
         (0.0, 0.0, 0.0),
         (0.0, 0.0, 1.0),
-        (1.0, 0.72, 0.44),
-        1.5,
+        (1.0, 0.76, 0.5),
+        1.75,
         1.4,
     ),
 }
@@ -76,10 +82,29 @@ def sky(mi: Any, light: Daylight) -> dict[str, Any]:
     return {"type": "envmap", "bitmap": mi.Bitmap(picture), "to_world": turn}
 
 
-def sun(light: Daylight) -> dict[str, Any] | None:
-    """The sun as an emitter; None if it has set."""
-    if not any(light.sun):
-        return None
+def daylight(mi: Any, light: Daylight, opening: Opening) -> dict[str, Any]:
+    """The sky in an opening, as a pane that shines into the room: paths find it, as they would not find the sky."""
+    place = np.eye(4)
+    # A rectangle shines to the side of the cross product of its edges.
+    turned = np.cross(opening.across, opening.up) @ opening.inward < 0.0
+    place[:3, 0] = -opening.across if turned else opening.across
+    place[:3, 1] = opening.up
+    place[:3, 2] = opening.inward
+    place[:3, 3] = opening.middle
+    # Of the sky at the horizon, which is what windows show; the blue of the zenith would tint rooms.
+    radiance = opening.clear * np.array(light.horizon)
+    return {
+        "type": "rectangle",
+        "to_world": mi.ScalarTransform4f(place),
+        "emitter": {
+            "type": "area",
+            "radiance": {"type": "rgb", "value": radiance.tolist()},
+        },
+    }
+
+
+def sun(light: Daylight) -> dict[str, Any]:
+    """The sun as an emitter."""
     return {
         "type": "directional",
         "direction": [-x for x in light.to_sun],

@@ -9,7 +9,7 @@ import numpy as np
 from mjhab.render.models import Look, srgb_bytes
 from mjhab.scenes.shapes.colors import srgb_to_linear
 
-DULL = 0.03
+DULL = 0.12
 """Looks of less gloss have no highlight at all, which is faster."""
 
 

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -14,8 +15,29 @@ WALL = "wall"
 ON_WALL_M = 0.08
 """A pane hangs on a wall if its middle is at most this far from the face of the wall."""
 MIN_PIECE_M = 1e-4
+SKYLIGHT_M = 0.6
+"""Half the side of a hole in the ceiling [m]."""
+FROSTED = 0.25
+"""Share of the light of the sky that comes through such a hole: rooms are then as bright as those with windows."""
 Rect = tuple[float, float, float, float]
 """u0, v0, u1, v1 in the plane of a wall [m]."""
+
+
+class Opening(NamedTuple):
+    """A hole through which daylight comes.
+
+    Attributes:
+        middle: (3,) [m], on the outer face of the wall or the ceiling.
+        across, up: (3,) from the middle to its edges [m].
+        inward: (3,) unit vector into the room.
+        clear: share of the light of the sky that comes through.
+    """
+
+    middle: np.ndarray
+    across: np.ndarray
+    up: np.ndarray
+    inward: np.ndarray
+    clear: float = 1.0
 
 
 def one_home(scene: RenderScene, home: int) -> RenderScene:
@@ -29,13 +51,13 @@ def one_home(scene: RenderScene, home: int) -> RenderScene:
     return dataclasses.replace(scene, **parts)
 
 
-def open_windows(scene: RenderScene) -> tuple[RenderScene, int]:
+def open_windows(scene: RenderScene) -> tuple[RenderScene, list[Opening]]:
     """Cut the walls of a scene of one home behind its panes of glass, and take these panes away.
 
     Light that is traced reaches a room through a hole; it would be lost at a pane, since no path finds the sun there.
 
     Returns:
-        The scene, and the number of windows.
+        The scene, and its windows.
     """
     there = (scene.home_scale[0] != 0.0).all(axis=1) & (scene.instance_body == 0)
     there &= scene.home_pos[0, :, 2] > PARKED_BELOW
@@ -44,18 +66,83 @@ def open_windows(scene: RenderScene) -> tuple[RenderScene, int]:
     walls = np.flatnonzero(there & (scene.instance_seg == _segment(scene, WALL)))
     panes: list[int] = np.flatnonzero(glass).tolist()
     pieces: list[tuple[int, np.ndarray, np.ndarray]] = []
-    opened: set[int] = set()
+    opened: dict[int, Opening] = {}
     cut: list[int] = []
     for wall in walls.tolist():
         holes = {pane: hole for pane in panes if (hole := _hole(scene, wall, pane))}
         if not holes:
             continue
-        opened |= set(holes)
         cut.append(wall)
+        for pane, hole in holes.items():
+            opened[pane] = _opening(scene, wall, pane, hole)
         pieces += [(wall, *box) for box in _remaining(scene, wall, list(holes.values()))]
     if not opened:
-        return scene, 0
-    return _with_pieces(scene, [*cut, *opened], pieces), len(opened)
+        return scene, []
+    return _with_pieces(scene, [*cut, *opened], pieces), list(opened.values())
+
+
+def _opening(scene: RenderScene, wall: int, pane: int, hole: Rect) -> Opening:
+    """The hole of a pane in a wall. Panes hang on the side of the room."""
+    turn = scene.home_mat[0, wall]
+    half = np.abs(scene.home_scale[0, wall])
+    across, u, v = _thin(half)
+    to_pane = turn[:, across] @ (scene.home_pos[0, pane] - scene.home_pos[0, wall])
+    inward = turn[:, across] * (1.0 if to_pane > 0.0 else -1.0)
+    u0, v0, u1, v1 = hole
+    middle = turn[:, u] * (u0 + u1) / 2 + turn[:, v] * (v0 + v1) / 2
+    return Opening(
+        scene.home_pos[0, wall] + middle - inward * half[across],
+        turn[:, u] * (u1 - u0) / 2,
+        turn[:, v] * (v1 - v0) / 2,
+        inward,
+    )
+
+
+def skylights(
+    lamps: np.ndarray, span: Rect, height: float
+) -> tuple[list[Opening], list[Rect]]:
+    """Daylight of a home without windows: holes in its ceiling above the lamps.
+
+    Args:
+        lamps: positions (L, 3) [m].
+        span: of the ceiling.
+        height: of the ceiling [m].
+
+    Returns:
+        The holes, and the rectangles of the ceiling between them.
+    """
+    x0, y0, x1, y1 = span
+    rects: list[Rect] = []
+    for x, y, _ in lamps.tolist():
+        rect = (x - SKYLIGHT_M, y - SKYLIGHT_M, x + SKYLIGHT_M, y + SKYLIGHT_M)
+        inside = rect[0] > x0 and rect[1] > y0 and rect[2] < x1 and rect[3] < y1
+        apart = all(
+            abs(x - (r[0] + r[2]) / 2) > 2 * SKYLIGHT_M
+            or abs(y - (r[1] + r[3]) / 2) > 2 * SKYLIGHT_M
+            for r in rects
+        )
+        if inside and apart:
+            rects.append(rect)
+    down = np.array([0.0, 0.0, -1.0])
+    holes = [
+        Opening(
+            np.array([(r[0] + r[2]) / 2, (r[1] + r[3]) / 2, height]),
+            np.array([(r[2] - r[0]) / 2, 0.0, 0.0]),
+            np.array([0.0, (r[3] - r[1]) / 2, 0.0]),
+            down,
+            FROSTED,
+        )
+        for r in rects
+    ]
+    return holes, without(span, rects)
+
+
+def without(rect: Rect, holes: Iterable[Rect]) -> list[Rect]:
+    """What is left of a rectangle around holes."""
+    left = [rect]
+    for hole in holes:
+        left = [piece for part in left for piece in _around(part, hole)]
+    return left
 
 
 def _segment(scene: RenderScene, name: str) -> int:
@@ -88,15 +175,12 @@ def _hole(scene: RenderScene, wall: int, pane: int) -> Rect | None:
 
 
 def _remaining(
-    scene: RenderScene, wall: int, holes: list[Rect]
+    scene: RenderScene, wall: int, holes: Sequence[Rect]
 ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """Middle and half-extents (3,) [m] of the boxes that are left of a wall, in its axes."""
     half = np.abs(scene.home_scale[0, wall])
     _, u, v = _thin(half)
-    left: list[Rect] = [(-half[u], -half[v], half[u], half[v])]
-    for hole in holes:
-        left = [piece for rect in left for piece in _around(rect, hole)]
-    for u0, v0, u1, v1 in left:
+    for u0, v0, u1, v1 in without((-half[u], -half[v], half[u], half[v]), holes):
         middle = np.zeros(3)
         middle[[u, v]] = (u0 + u1) / 2, (v0 + v1) / 2
         size = half.copy()

@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 
+from mjhab.episodes.grasps import carry_postures
 from mjhab.layout.layout import Layout
 from mjhab.scenes.packs import open_pack
 from mjhab.sim.mujoco.cpu import CpuSimulator
@@ -31,6 +32,14 @@ def pytest_collection() -> Iterator[None]:
     gc.freeze()
     gc.enable()
     return result
+
+
+@pytest.fixture(scope="module")
+def few_carry_postures() -> Iterator[None]:
+    """Four arm postures with each held object instead of 32, which take 1.3 s per object and layout to be found."""
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(carry_postures, "MAX_ARMS", 4)
+        yield
 
 
 @pytest.fixture(scope="session")

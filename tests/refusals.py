@@ -22,7 +22,7 @@ def refused(
     expected: str = "",
     where: object = "",
     advice: str = "",
-    said: str = "",
+    said: str | tuple[str, ...] = "",
 ) -> Iterator[pytest.ExceptionInfo[UsageError]]:
     """The block raises a UsageError of one line about an option or field.
 
@@ -32,7 +32,7 @@ def refused(
         expected: one of the valid names, or a part of the phrase that tells what would fit.
         where: a part of the name of the file or object that has the field.
         advice: a part of what the error says to do.
-        said: what a message says that has no field for it, such as what is wrong with a file.
+        said: what a message says that has no field for it, such as what is wrong with a file; several parts of it.
     """
     with pytest.raises(UsageError) as caught:
         yield caught
@@ -49,7 +49,8 @@ def refused(
     assert not expected or expected in error.expected, (error.expected, text)
     assert str(where) in error.where, (error.where, text)
     assert advice in error.advice, (error.advice, text)
-    assert said in text, text
+    for part in (said,) if isinstance(said, str) else said:
+        assert part in text, text
 
 
 def command(*args: object) -> int:

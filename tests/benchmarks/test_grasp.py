@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from benchmarks.grasp import BENCH_OBJECTS, GraspBench, grasp_table
-from mjhab.core.errors import UsageError
 from mjhab.robots.fetch.model import FINGER_LINKS, TCP_LINK
+from tests.refusals import refused
 
 
 @pytest.fixture(scope="module")
@@ -51,7 +51,7 @@ def test_the_same_seed_gives_the_same_row() -> None:
 
 
 def test_unknown_object_is_refused() -> None:
-    with pytest.raises(UsageError, match="013_apple"):
+    with refused("bench object", "apple", expected="013_apple"):
         grasp_table(objects=("apple",))
 
 

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import pytest
-
 from benchmarks.view import ViewSpec, measure_view
-from mjhab.core.errors import UsageError
+from tests.refusals import refused
 
 
 def test_frames_and_bytes_are_counted() -> None:
@@ -17,7 +15,7 @@ def test_frames_and_bytes_are_counted() -> None:
 
 
 def test_what_cannot_be_shown_is_told() -> None:
-    with pytest.raises(UsageError, match="worlds must be at least 1"):
+    with refused(said="worlds must be at least 1"):
         measure_view(ViewSpec(worlds=(0,)))
-    with pytest.raises(UsageError, match="expret"):
+    with refused("policy", "expret", expected="expert"):
         measure_view(ViewSpec(worlds=(1,), policy="expret"))

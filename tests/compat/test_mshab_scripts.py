@@ -196,10 +196,10 @@ def test_an_import_that_is_not_answered_is_told_with_its_place(
         script.write_text(f"import json\n{text}\n")
         with pytest.raises(UsageError, match=rf"tasks.py, line 2: {missing}.*--check"):
             lines(str(script))
-    with pytest.raises(UsageError, match=r"mshab.train_sac: no such module"):
+    with refused(where="mshab.train_sac", said="no such module"):
         run_module("mshab.train_sac", [])
 
 
 def test_a_script_that_is_not_there_is_refused() -> None:
-    with pytest.raises(UsageError, match="no such script"):
+    with refused(where="nowhere.py", said="no such script"):
         find_script("nowhere.py")

@@ -39,6 +39,8 @@ from mjhab.tasks.household.registry import TASKS, chain
 from tests.real_data import real_data
 from tests.refusals import refused
 
+pytestmark = pytest.mark.usefixtures("few_carry_postures")
+
 FLOAT32 = 2e-6
 """Numbers of spawn files are float32: 5e-7 m at 10 m, added up."""
 EPISODES = 2

@@ -202,7 +202,7 @@ def test_arms_that_are_no_numbers_are_refused(
     result: tuple[Path, ScoreResult], tmp_path: Path, arms: Any
 ) -> None:
     facts = {**result[1].facts, "perturbed": arms}
-    with pytest.raises(UsageError, match=r"was edited: facts\.perturbed must be"):
+    with refused("facts.perturbed", where="was edited"):
         write_result(tmp_path / "arms.json", facts, result[1].episodes)
 
 
@@ -211,12 +211,14 @@ def test_rows_by_name(small: Any) -> None:
     names = [row.name for row in ROWS]
     assert [row.name for row in runs.rows_of(asked, ())] == names
     assert [row.name for row in runs.rows_of(asked, names[1:])] == names[1:]
-    with pytest.raises(UsageError, match=r"unknown row 'set_table\.clos'\. Did you mean"):
+    with refused(
+        "row", "set_table.clos", expected="set_table.close.kitchen_counter-drawer3"
+    ):
         runs.rows_of(asked, ["set_table.clos"])
 
 
 def test_an_axis_that_is_none_is_refused_before_anything_is_run() -> None:
-    with pytest.raises(UsageError, match="Did you mean 'light'"):
+    with refused("axis of perturbation", "lihgt", expected="light"):
         ScoreSpec.of("random", perturb="lihgt:2")
     assert ScoreSpec.of("random", perturb={"light": 2}).perturb == "light:2"
 
@@ -320,7 +322,7 @@ def test_actions_come_back_and_are_played_to_their_end() -> None:
     actions = np.random.default_rng(0).uniform(-1, 1, (5, 13)).astype(np.float32)
     np.testing.assert_array_equal(unpacked_actions(packed_actions(actions)), actions)
     for text in ("", "13:!!", "13:eJw=", "0:", packed_actions(np.full((1, 2), np.nan))):
-        with pytest.raises(UsageError, match="actions of an episode"):
+        with refused(said="actions of an episode"):
             unpacked_actions(text)
     player = Replayed(2, 13, {4: actions}, {4: "no answer"})
     player.reset(np.ones(2, bool))
@@ -339,7 +341,7 @@ def test_scores_of_another_robot_are_of_another_manifest() -> None:
     assert manifest_of({"track": "subtasks", "split": "test"}) == own
     facts = {"track": "subtasks", "split": "test", "robot": "panda_omron"}
     assert manifest_of(facts) == other
-    with pytest.raises(UsageError, match="unknown robot"):
+    with refused("robot", "pandas", expected="panda_omron"):
         manifest("subtasks", "test", "pandas")
 
 

@@ -13,12 +13,12 @@ import mjhab
 from benchmarks.grasp import grasp_table
 from benchmarks.sim import SimSpec, measure_engine
 from mjhab.cli.main import main
-from mjhab.core.errors import UsageError
 from mjhab.core.registration.plugins import load_plugin
 from mjhab.envs.observations.state import state_dim
 from mjhab.episodes.spawn_sets import SpawnSet
 from mjhab.robots.registry import ROBOTS, robot_named
 from mjhab.robots.robot import Robot
+from tests.refusals import refused
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "robot" / "boxy.py"
 SUBTASKS = ("pick", "place", "navigate", "open", "close")
@@ -101,8 +101,9 @@ def test_a_spawn_set_is_of_its_robot(tmp_path: Path) -> None:
     np.testing.assert_allclose(qpos, made.columns["qpos"][1][: len(qpos)], atol=1e-6)
     assert info["is_grasped"][0]
     env.close()
-    with pytest.raises(
-        UsageError, match=r"starts of robot 'boxy', the environment has robot 'fetch'"
+    with refused(
+        where="place.npz",
+        said="starts of robot 'boxy', the environment has robot 'fetch'",
     ):
         mjhab.make(spawns=str(path), **options)
 

@@ -4,8 +4,10 @@
     python tests/guard/mass.py --root OTHER_CHECKOUT --json
 
 A line of code is a line with at least one token that is neither comment nor docstring. Tokens are those of Python's
-own tokenizer. A dataclass is a class that ``dataclass`` decorates; msgspec structures count as well. An importer of a
-module is another module of the package that names it in an import, lazy ones included.
+own tokenizer. Lines of docstrings are those of all strings that stand alone; notes of constants are those of them that
+stand below an assignment at the top of a module or in a class, where a number says its unit, source or reason:
+comments in another place. A dataclass is a class that ``dataclass`` decorates; msgspec structures count as well. An
+importer of a module is another module of the package that names it in an import, lazy ones included.
 
 A declaration of an option is a field whose value a user gives, on the command line, in Python or as a preset: the field
 of a dataclass that checks what it was given (`take_options`, itself or through a base class), that describes fields for
@@ -19,6 +21,7 @@ from __future__ import annotations
 import argparse
 import ast
 import io
+import itertools
 import json
 import tokenize
 from collections import Counter, defaultdict
@@ -56,6 +59,8 @@ class Module:
         self.tree = ast.parse(text)
         self.imports = _imports(self.tree)
         docs = _docstring_lines(self.tree)
+        self.docstring_lines = len(docs)
+        self.constant_notes = _constant_notes(self.tree)
         code_lines: set[int] = set()
         self.tokens = 0
         self.comments = 0
@@ -113,6 +118,22 @@ def _docstring_lines(tree: ast.Module) -> set[int]:
     return lines
 
 
+def _constant_notes(tree: ast.Module) -> int:
+    """Number of lines of the docstrings below constants; fields of dataclasses are none."""
+    count = 0
+    for scope in ast.walk(tree):
+        if not isinstance(scope, (ast.Module, ast.ClassDef)):
+            continue
+        for before, note in itertools.pairwise(scope.body):
+            constant = isinstance(before, ast.Assign) or (
+                isinstance(before, ast.AnnAssign) and isinstance(scope, ast.Module)
+            )
+            text = note.value if isinstance(note, ast.Expr) else None
+            if constant and isinstance(text, ast.Constant) and type(text.value) is str:
+                count += (note.end_lineno or note.lineno) - note.lineno + 1
+    return count
+
+
 def _is_dataclass(node: ast.ClassDef) -> bool:
     written = [ast.unparse(part) for part in (*node.decorator_list, *node.bases)]
     return any("dataclass" in part or part.endswith("Struct") for part in written)
@@ -137,7 +158,9 @@ def per_package(modules: list[Module]) -> dict[str, dict[str, int]]:
             row["lines"] += module.lines
             row["code_lines"] += module.code_lines
             row["tokens"] += module.tokens
+            row["docstring_lines"] += module.docstring_lines
             row["comments"] += module.comments
+            row["constant_notes"] += module.constant_notes
             row["dataclasses"] += len(structures)
             row["fields"] += sum(len(_fields(node)) for node in structures)
             row["public_names"] += module.public_names()
@@ -223,6 +246,9 @@ def measured(root: Path) -> dict[str, Any]:
         "raise_usage_error": text.count("raise UsageError"),
         "tokens_per_line": round(total["tokens"] / total["code_lines"], 2),
         "comments_percent": round(100 * total["comments"] / total["code_lines"], 2),
+        "constant_notes_percent": round(
+            100 * total["constant_notes"] / total["code_lines"], 2
+        ),
         "test_lines": sum(
             path.read_text(encoding="utf-8").count("\n")
             for path in (root / "tests").rglob("*.py")

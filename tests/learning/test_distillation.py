@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mjhab.core.errors import UsageError
 from mjhab.data.store.places import episodes
 from mjhab.learning.checkpoint import load_checkpoint
 from mjhab.learning.runs.intervention import (
@@ -96,7 +95,7 @@ def test_a_teacher_for_each_subtask_in_each_pack() -> None:
 
 
 def test_a_teacher_that_sees_larger_images_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match=r"inputs\.image_size=32"):
+    with refused(said="inputs.image_size=32"):
         train(
             "dagger",
             out=tmp_path / "run",

@@ -10,7 +10,6 @@ from typing import Any
 import pytest
 
 from mjhab.cli.main import main
-from mjhab.core.errors import UsageError
 from mjhab.data.imports.ms_hab import import_ms_hab
 from mjhab.data.select.query import Filter
 from mjhab.data.select.sets import select
@@ -21,6 +20,7 @@ from mjhab.learning.demos import entries_of, load_demonstrations, observation_sp
 from mjhab.learning.reinforcement.demonstrations.recorded import check_episode
 from mjhab.learning.students import bc
 from tests.data.imports.test_ms_hab import original
+from tests.refusals import refused
 
 STAGE = ("--task", "set_table", "--subtask", "pick", "--target", "024_bowl")
 TINY = (
@@ -57,20 +57,17 @@ def test_the_papers_preset_trains_on_data_of_the_original(
 
 def test_what_needs_states_is_refused_in_one_line(tmp_path: Path) -> None:
     data = imported(tmp_path, 8)
-    with pytest.raises(
-        UsageError, match=r"128x128 px\. It was imported .*inputs\.image_size=8$"
-    ):
+    with refused(said=("128x128 px. It was imported", "inputs.image_size=8")):
         observation_spec_of_data(data, InputConfig(image_size=128))
-    with pytest.raises(
-        UsageError, match=r"no depth images of cam.*fetch_hand, fetch_head"
-    ):
+    with refused(said=("no depth images of cam", "fetch_hand, fetch_head")):
         observation_spec_of_data(data, InputConfig(cameras=("cam",), image_size=8))
     layout = observation_spec_of_data(data, InputConfig(image_size=8, base_velocity=True))
-    with pytest.raises(UsageError, match=r"data without states.*--preset paper"):
+    with refused(where="024_bowl.h5", said=("data without states", "--preset paper")):
         load_demonstrations(data, layout, -1)
     session: Any = SimpleNamespace(request=SimpleNamespace(recompute_rewards=False))
-    with pytest.raises(
-        UsageError, match=r"its actions cannot be simulated again.*train bc --data"
+    with refused(
+        where="024_bowl.h5",
+        said=("its actions cannot be simulated again", "train bc --data"),
     ):
         check_episode(session, next(episodes(data)))
 
@@ -80,8 +77,8 @@ def test_data_imported_before_it_told_its_actions(tmp_path: Path) -> None:
     episode = next(episodes(data))
     run = dataclasses.replace(episode.run, config={"env": {}}, layout={})
     older: Any = SimpleNamespace(run=run, name=episode.name, shard=episode.shard)
-    with pytest.raises(
-        UsageError,
-        match=r"does not say control_mode, base, stationary, the names of the actions",
+    with refused(
+        where="024_bowl.h5",
+        said="does not say control_mode, base, stationary, the names of the actions",
     ):
         entries_of(older)

@@ -258,14 +258,10 @@ def test_a_torch_that_cannot_be_imported_is_told_in_one_line(
         raise error
 
     monkeypatch.setattr(libraries.importlib, "import_module", broken)
-    with pytest.raises(
-        UsageError, match=r"torch is installed but cannot be imported"
-    ) as told:
+    with refused(said="torch is installed but cannot be imported") as told:
         require_learn()
     assert str(error) in str(told.value) and "pip install" in str(told.value)
-    with pytest.raises(
-        UsageError, match=r"warp is installed but cannot be imported.*\[gpu\]'"
-    ):
+    with refused(said=("warp is installed but cannot be imported", "[gpu]'")):
         cuda_devices()
 
 
@@ -319,7 +315,7 @@ def test_small_images_are_means_of_larger_ones() -> None:
     np.testing.assert_array_equal(pooled(images, 2)[0], [[2, 4], [10, 12]])
     half = dataclasses.replace(INPUTS, image_size=SIZE // 2)
     student = make_student(config(inputs=half), layout(half))
-    with pytest.raises(UsageError, match="16x16 px instead of 8x8"):
+    with refused(said="16x16 px instead of 8x8"):
         StudentPolicy(student, fake_env(1))
     assert student.layout.pool_in(fake_env(1)) == 2
     policy = StudentPolicy(student, fake_env(1), pool=2)
@@ -333,7 +329,7 @@ def test_students_together_get_the_largest_of_their_images() -> None:
         **small,
         "camera_size": 64,
     }
-    with pytest.raises(UsageError, match="camera_size is 32 for one and 48 for b"):
+    with refused(said="camera_size is 32 for one and 48 for b"):
         joined("both", [("a", small), ("b", {**small, "camera_size": 48})])
-    with pytest.raises(UsageError, match="profile is 'ms_hab' for one and 'mjhab' for b"):
+    with refused(said="profile is 'ms_hab' for one and 'mjhab' for b"):
         joined("both", [("a", small), ("b", {**small, "profile": "mjhab"})])

@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 import torch
 
-from mjhab.core.errors import UsageError
 from mjhab.core.names import kind_of
 from mjhab.core.registration.plugins import load_plugin
 from mjhab.data.store.places import episodes
@@ -34,6 +33,7 @@ from mjhab.reports import students as students_report
 from mjhab.robots.registry import ROBOTS, robot_named
 from mjhab.tasks.plan import GOAL_OF
 from tests.learning.small import config, train_in
+from tests.refusals import refused
 
 BOXY = Path(__file__).parents[2] / "examples" / "robot" / "boxy.py"
 HOLD_STEPS = 5
@@ -120,9 +120,7 @@ def test_rlpd_learns_from_recorded_episodes_with_rewards_of_its_own(
         round_episodes=0,
         data=(out / "data",),
     )
-    with pytest.raises(
-        UsageError, match="reward_mode sparse instead of normalized_dense"
-    ):
+    with refused(said="reward_mode sparse instead of normalized_dense"):
         train_in(told, tmp_path / "refused")
     told = dataclasses.replace(told, recompute_rewards=True)
     result = train_in(told, tmp_path / "run")

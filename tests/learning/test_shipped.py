@@ -163,7 +163,7 @@ def test_the_old_name_finds_the_same_and_stays_the_name_of_its_runs(
 
 
 def test_a_misspelt_student_is_suggested() -> None:
-    with pytest.raises(UsageError, match="Did you mean 'learned'"):
+    with refused("policy", "leraned", expected="learned"):
         inspect_policy("leraned")
 
 

@@ -365,9 +365,7 @@ def test_environments_and_observations_that_do_not_fit(tmp_path: Path) -> None:
     policy.reset(np.ones(WORLDS, bool))
     obs = observation(np.random.default_rng(0))
     lacking = {key: value for key, value in obs.items() if "hand" not in key}
-    with pytest.raises(
-        UsageError, match="the observations lack sensor_data/fetch_hand/depth"
-    ):
+    with refused(said="the observations lack sensor_data/fetch_hand/depth"):
         policy.act(lacking, info(0, 1))
     small = {
         **obs,
@@ -429,5 +427,5 @@ def test_cut_checkpoints_of_the_old_format_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "policy.pt"
     for length in range(0, len(whole.getvalue()), 5):
         path.write_bytes(whole.getvalue()[:length])
-        with pytest.raises(UsageError, match=r"policy\.pt"):
+        with refused(where="policy.pt"):
             load_network(path)

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 import mjhab
-from mjhab.core.errors import UsageError
 from mjhab.scenes.builtin.pack import builtin_pack
 from mjhab.scenes.door_walls import LEAST_SHARE, with_door_walls
 from mjhab.scenes.freespace import free_map
@@ -17,6 +16,7 @@ from mjhab.scenes.shapes.footprints import FloorPolygon, outline
 from mjhab.scenes.shapes.openings import free_travel, solids_near
 from mjhab.scenes.spec import Geom, Home, Pack
 from mjhab.tasks.thresholds import TaskConfig
+from tests.refusals import refused
 
 DOOR = "fridge/top_door"
 FULL_RAD = 2.3
@@ -141,5 +141,5 @@ def test_every_pack_takes_the_option_and_records_it() -> None:
         PACK_SOURCES.remove("mine")
     assert request.as_json() == {"place": "mine", "door_walls": 1}
     assert "door walls: 1" in str(request)
-    with pytest.raises(UsageError, match="door_walls must be between 0 and 100"):
+    with refused("door_walls", -1):
         mjhab.PackRequest("builtin", door_walls=-1)

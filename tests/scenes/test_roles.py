@@ -70,11 +70,11 @@ def test_homes_that_lack_a_role_are_named() -> None:
         UsageError, match=rf"role 'sink', which these homes .* lack: '{bare.name}'\."
     ):
         roles.require_roles(pack, [pack.homes[0], bare], [roles.SINK], "task 'x'")
-    with pytest.raises(
-        UsageError, match=r"'flower_bed', .*roles of the pack: counter_top, "
+    with refused(
+        where="task 'x'", said=("'flower_bed',", "roles of the pack: counter_top,")
     ):
         roles.require_roles(pack, pack.homes, ["flower_bed"], "task 'x'")
-    with pytest.raises(UsageError, match="no link plays the role 'flap'"):
+    with refused(said="no link plays the role 'flap'"):
         roles.link_with_role(pack.roles, "flap")
 
 

@@ -13,7 +13,6 @@ import pytest
 
 import mjhab
 from mjhab.cli.main import main
-from mjhab.core.errors import UsageError
 from mjhab.core.files.interrupts import stop_signals
 from mjhab.data.store.places import episodes
 from mjhab.data.store.reading import open_shard
@@ -211,7 +210,7 @@ def test_the_profile_is_recorded_and_reaches_the_environment(tmp_path: Path) -> 
             make_job(GenerateSpec.of(**{**options, **change}))
     shorter = build_stage(GenerateSpec.of(**{**options, "horizon": 50}))
     assert shorter.env.config.horizon == 50 and shorter.env.config.profile == "ms_hab"
-    with pytest.raises(UsageError, match="horizon must be at least 0"):
+    with refused("horizon", -1):
         GenerateSpec.of(**{**options, "horizon": -1})
     one_camera = make_job(
         GenerateSpec.of(**{**options, "profile": "mjhab", "cameras": ("fetch_hand",)})
@@ -291,7 +290,7 @@ def test_ray_that_is_not_installed(monkeypatch: pytest.MonkeyPatch) -> None:
     from mjhab.data.record.ray_workers import RayPool
 
     monkeypatch.setitem(sys.modules, "ray", None)
-    with pytest.raises(UsageError, match=r"pip install .*\[scale\]'"):
+    with refused("--ray", said=("pip install", "[scale]'")):
         RayPool("local")
 
 

@@ -53,11 +53,12 @@ def test_auto_is_warp_where_the_extra_finds_a_device(
     installed["torch"] = False
     devices.append("cuda:0")
     assert backends.resolve("auto") == "cpu"
-    with pytest.raises(
-        UsageError, match=r"needs torch, which is not installed.*pip install .*\[gpu\]'"
+    with refused(
+        "backend 'warp'",
+        said=("needs torch, which is not installed", "pip install", "[gpu]'"),
     ):
         backends.resolve("warp")
-    with pytest.raises(UsageError, match=r"unknown backend 'wrap'.*warp"):
+    with refused("backend", "wrap", expected="warp"):
         backends.resolve("wrap")
 
 
@@ -145,9 +146,8 @@ def test_worlds_that_do_not_fit_the_device_are_refused(
     probe.open_device = lambda name: device
     probe.free_mb = lambda opened: 6_000.0
     monkeypatch.setitem(sys.modules, "mjhab.sim.warp.device", probe)
-    with pytest.raises(
-        UsageError,
-        match=r"4096 worlds need about [\d,]+ MB, but 6,000 MB are free on cuda:0",
+    with refused(
+        said=("4096 worlds need about", "MB, but 6,000 MB are free on cuda:0")
     ) as told:
         memory.check_device_memory(4096, memory.WorldPictures("rgbd", 128))
     most = int(str(told.value).rpartition("num_envs=")[2].rstrip("."))
@@ -159,12 +159,12 @@ def test_worlds_that_do_not_fit_the_device_are_refused(
         memory.check_device_memory(most, memory.WorldPictures("rgbd", (256, 128)))
     memory.check_device_memory(most, memory.WorldPictures("rgbd", (256, 128), cameras=1))
     probe.free_mb = lambda opened: 10.0
-    with pytest.raises(UsageError, match="Not even one fits"):
+    with refused(said="Not even one fits"):
         memory.check_device_memory(1)
     # On Warp's CPU device the memory of this machine counts.
     device.is_cuda = False
     monkeypatch.setattr(memory, "available_mb", lambda: 20.0)
-    with pytest.raises(UsageError, match="20 MB are free"):
+    with refused(said="20 MB are free"):
         memory.check_device_memory(1, device="cpu")
 
 
@@ -527,5 +527,5 @@ def test_report_goes_on_where_the_device_fails(
 def test_report_measures_what_is_named(tmp_path: Path) -> None:
     gpu_report.report(tmp_path, ["parity"])
     assert read_all(tmp_path)["gpu-parity"]["episodes"] == 200
-    with pytest.raises(UsageError, match="unknown measure 'party'"):
+    with refused("measure", "party", expected="parity"):
         gpu_report.report(tmp_path, ["party"])

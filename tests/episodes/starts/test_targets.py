@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import dataclasses
 
-import pytest
-
 from mjhab.config.env import EnvConfig
-from mjhab.core.errors import UsageError
 from mjhab.episodes.starts import aims_of, check_target, valid_targets
 from mjhab.layout.layout import Layout
 from mjhab.scenes.packs import open_pack
 from mjhab.scenes.spec import Home, Pack, Roles
+from tests.refusals import refused
 
 OPEN = EnvConfig(task="set_table", subtask="open")
 DRAWER = "kitchen_counter/drawer3"
@@ -45,5 +43,5 @@ def test_homes_may_have_other_links_for_a_role() -> None:
 
 def test_a_role_that_no_home_has_is_named() -> None:
     pack = open_pack("builtin")
-    with pytest.raises(UsageError, match="no link plays the role 'kitchen_drawer'"):
+    with refused(said="no link plays the role 'kitchen_drawer'"):
         valid_targets(OPEN, layout_of(pack, pack.homes[0]))

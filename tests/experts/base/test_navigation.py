@@ -10,11 +10,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.ndimage import distance_transform_edt
 
-from mjhab.core.errors import UsageError
 from mjhab.core.rotations import wrap
 from mjhab.core.timing import STEP_SECONDS
 from mjhab.experts.base.follower import SPEED_LAG_S, YAW_LAG_S, Follower, PathSegment
 from mjhab.experts.base.navigation import FloorClearance, Planner
+from tests.refusals import refused
 
 ORIGIN = np.array([-4.0, -3.0])
 CELL = 0.05
@@ -113,7 +113,7 @@ def test_closed_rooms_and_blocked_ends():
     assert path is not None
     np.testing.assert_allclose(path[0], [-0.1, 0.0])
     assert planner.clearance_at(path[-1]) >= planner.radius
-    with pytest.raises(UsageError, match="clearance"):
+    with refused(said="clearance"):
         Planner(FloorClearance(ORIGIN, CELL, np.full((5, 5), 0.1)))
 
 

@@ -7,7 +7,6 @@ import pytest
 from scipy.ndimage import distance_transform_edt
 
 import mjhab.envs as envs
-from mjhab.core.errors import UsageError
 from mjhab.core.rotations import wrap
 from mjhab.envs.sequential import SequentialTaskEnv
 from mjhab.experts import make_expert
@@ -17,6 +16,7 @@ from mjhab.experts.base.lattice import YAWS, Lattice
 from mjhab.experts.base.limits import DRIVE_FREE
 from mjhab.experts.skills import navigate
 from mjhab.tasks.plan import Subtask
+from tests.refusals import refused
 
 CELL = 0.05
 REACH = 0.6
@@ -234,7 +234,7 @@ def test_chain_teleports_unless_told_otherwise():
         )
     assert away["teleport"] <= 2.0 < away["drive"]
     assert build("tidy_house", "").task_config.ignore_arm
-    with pytest.raises(UsageError, match=r"navigate mode 'fly'.*teleport"):
+    with refused("navigate mode", "fly", expected="teleport"):
         build("tidy_house", "", navigate="fly")
 
 

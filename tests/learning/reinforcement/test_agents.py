@@ -169,7 +169,7 @@ def test_a_replay_buffer_larger_than_the_disk_is_refused(
     shape = ReplayShape(WORLDS, 64, 4, (0, 0, 0), 0, 1)
     nearly_full = SimpleNamespace(free=shape.total_bytes)
     monkeypatch.setattr(shutil, "disk_usage", lambda place: nearly_full)
-    with pytest.raises(UsageError, match="free on the disk of"):
+    with refused(said="free on the disk of"):
         ReplayBuffer(shape, torch.device("cpu"), tmp_path / "replay")
     assert not any(tmp_path.iterdir())
     monkeypatch.undo()
@@ -326,7 +326,7 @@ def test_a_frozen_encoder_keeps_its_weights_and_changes_no_number() -> None:
 
 def test_a_frozen_encoder_needs_a_student() -> None:
     config = changed(PPO_TOY, {"freeze_encoder": True})
-    with pytest.raises(UsageError, match="give one with --start"):
+    with refused("freeze_encoder", True, advice="give one with --start"):
         Ppo(config, LAYOUT, 0, seed=0)
 
 
@@ -403,7 +403,7 @@ def test_an_actor_of_sac_begins_with_the_first_action_of_a_student() -> None:
         torch.all(actor.mean.bias.grad > 0.0)
     )
     paper = preset_of("bc", "paper").student
-    with pytest.raises(UsageError, match="preset paper"):
+    with refused(said="preset paper"):
         gaussian_of(BehaviourCloning(paper, layout(paper.inputs)))
 
 
@@ -522,7 +522,7 @@ def test_discounts_lie_between_0_and_1(name: str, value: float) -> None:
 
 
 def test_unknown_presets_are_told() -> None:
-    with pytest.raises(UsageError, match="fast"):
+    with refused("preset of ppo", "fst", expected="fast"):
         reinforcement_preset("ppo", "fst")
 
 

@@ -14,7 +14,6 @@ import pytest
 import torch
 from torch.multiprocessing.spawn import ProcessExitedException, spawn
 
-from mjhab.core.errors import UsageError
 from mjhab.learning.changes import with_changes
 from mjhab.learning.checkpoint import load_checkpoint, load_student
 from mjhab.learning.configs import InputConfig, NetworkConfig
@@ -42,6 +41,7 @@ from mjhab.learning.runs.session import OutOfTime
 from mjhab.learning.runs.time_budget import TimeBudget
 from mjhab.learning.runs.training import BrokenLossError
 from tests.learning.small import train_in
+from tests.refusals import refused
 
 SCENE = {
     "subtask": "close",
@@ -269,7 +269,7 @@ def test_a_run_leaves_a_policy_that_eval_takes_and_a_report(tmp_path: Path) -> N
     )
     kept = load_student(Path(other.summary["checkpoint"]))
     assert kept.config.algorithm == "gaussian_actions" and other.summary["episodes"] == 1
-    with pytest.raises(UsageError, match="of algorithm bc with"):
+    with refused(said="of algorithm bc with"):
         train_in(
             dataclasses.replace(request(TINY), start=other.summary["checkpoint"]),
             tmp_path / "ppo",
@@ -356,7 +356,7 @@ def test_the_success_that_chooses_the_student_can_be_told(
 
 
 def test_an_unknown_success_that_chooses_is_refused() -> None:
-    with pytest.raises(UsageError, match="Did you mean 'at_end'"):
+    with refused("keep_best_by", "at_ent", expected="at_end"):
         with_changes(TINY, ("keep_best_by=at_ent",))
 
 

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from scipy.spatial import ConvexHull
 
-from mjhab.core.errors import UsageError
 from mjhab.episodes.rosters import roster
 from mjhab.scenes.builtin.objects import builtin_objects, object_meshes
 from mjhab.scenes.shapes.footprints import bounds, outline
 from mjhab.scenes.spec import Geom
+from tests.refusals import refused
 
 # Extents of the google_16k scans along the object's own axes [m] and masses [kg] of the YCB Object and Model Set.
 YCB = {
@@ -125,7 +125,5 @@ def test_rosters_have_the_counts_of_the_benchmark(task: str, count: int) -> None
 
 
 def test_unknown_task_names_the_tasks() -> None:
-    with pytest.raises(
-        UsageError, match=r"unknown task 'settable'.*Did you mean 'set_table'"
-    ):
+    with refused("task", "settable", expected="set_table"):
         roster("settable")

@@ -250,9 +250,9 @@ def test_the_data_set_inside_a_folder_is_found(folder: Path) -> None:
 
 def test_a_folder_that_is_not_the_data_set(folder: Path) -> None:
     shutil.rmtree(folder / "urdf")
-    with pytest.raises(
-        UsageError,
-        match=r"not a whole ReplicaCAD data set: urdf missing; `mjhab assets fetch",
+    with refused(
+        where="data",
+        said="not a whole ReplicaCAD data set: urdf missing; `mjhab assets fetch",
     ):
         open_pack(str(folder))
 

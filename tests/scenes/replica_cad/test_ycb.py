@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 from scipy.spatial import ConvexHull
 
-from mjhab.core.errors import UsageError
 from mjhab.core.rotations import mat_from_quat
 from mjhab.data.imports.ms_hab_layout import SCANNED_YAWS
 from mjhab.scenes.builtin.objects import MASSES, SIZES, builtin_objects
@@ -235,9 +234,7 @@ def test_a_broken_scan_is_named(tmp_path: Path, damage: str) -> None:
     path.write_bytes(
         {"cut": whole[: len(whole) // 3], "text": b"not a glb", "empty": b""}[damage]
     )
-    with pytest.raises(
-        UsageError, match=r"textured\.glb: .*download (it|the file) again"
-    ) as caught:
+    with refused(where="textured.glb", said=("download", "again")) as caught:
         read_scan(path)
     assert "\n" not in str(caught.value)
 
@@ -246,8 +243,8 @@ def test_a_scan_of_another_size_says_what_to_do(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("mjhab.scenes.object_glb.MAX_EXTENT_M", 0.01)
-    with pytest.raises(
-        UsageError, match="no scan of a YCB object; download the file again"
+    with refused(
+        where="textured.glb", said="no scan of a YCB object; download the file again"
     ) as caught:
         read_scan(real_data("ycb", BOWL, SCAN))
     assert "scale" not in str(caught.value)

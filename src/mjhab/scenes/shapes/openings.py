@@ -139,12 +139,15 @@ def link_outline(link: Link, at: Placement, q: float) -> np.ndarray:
 def _flat(geom: Geom, link: Link, lift: float) -> tuple[np.ndarray, tuple[float, float]]:
     """Convex outline (N, 2) in the frame of the link, height interval in the world [m]; the piece must be upright."""
     points = outline(geom)
-    flat = np.unique(points[:, :2].round(9), axis=0)
     z = points[:, 2] + link.pos[2] + lift
-    return flat[ConvexHull(flat).vertices], (
-        float(z.min()) + _SKIN_M,
-        float(z.max()) - _SKIN_M,
-    )
+    height = float(z.min()) + _SKIN_M, float(z.max()) - _SKIN_M
+    return _hull(points), height
+
+
+def _hull(points: np.ndarray) -> np.ndarray:
+    """Corners (N, 2) [m] of the convex hull of points (P, 3) [m] seen from above."""
+    flat = np.unique(points[:, :2].round(9), axis=0)
+    return flat[ConvexHull(flat).vertices]
 
 
 def _moved(corners: np.ndarray, link: Link, at: Placement, q: float) -> np.ndarray:
@@ -203,9 +206,5 @@ def _solid(
     points = outline(geom, meshes) @ mat_from_quat(np.array(at.rotation)).T + np.array(
         at.pos
     )
-    flat = np.unique(points[:, :2].round(9), axis=0)
-    return FloorPolygon(
-        name,
-        flat[ConvexHull(flat).vertices],
-        (float(points[:, 2].min()), float(points[:, 2].max())),
-    )
+    height = float(points[:, 2].min()), float(points[:, 2].max())
+    return FloorPolygon(name, _hull(points), height)

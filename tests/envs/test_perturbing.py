@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import re
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -31,7 +32,18 @@ from mjhab.core.rotations import pose_inv, pose_mul
 from mjhab.envs.perturbations.language import with_synonym, with_typo
 from mjhab.envs.perturbations.pixels import blur, light_table, recolour, relight
 from mjhab.envs.sequential import SequentialTaskEnv
+from mjhab.episodes.moved_furniture import (
+    Things,
+    carried,
+    is_possible,
+    is_version,
+    moved_pieces,
+    version_name,
+    with_moved_furniture,
+)
 from mjhab.robots.fetch.robot import ROBOT
+from mjhab.scenes.freespace import shared_map
+from mjhab.scenes.spec import Geom
 from mjhab.tasks.subtasks.registry import SUBTASKS
 
 PAGE = Path(__file__).parents[2] / "docs" / "perturbations.md"
@@ -133,8 +145,8 @@ def test_levels_are_numbers_that_grow() -> None:
     for name in AXES:
         axis = PERTURBATIONS[name]
         assert axis.name == name and axis.about and axis.hooks and axis.quantities
-        for quantity in axis.quantities.values():
-            falling = name == "layout" and quantity.unit == "m"
+        for key, quantity in axis.quantities.items():
+            falling = key == "gap"
             levels = quantity.levels[::-1] if falling else quantity.levels
             assert len(levels) == LEVELS and list(levels) == sorted(levels)
 
@@ -354,23 +366,94 @@ def test_what_is_held_stays_in_the_hand() -> None:
     np.testing.assert_allclose(poses[0], poses[1], atol=1e-9)
 
 
-def test_distractors_stand_beside_the_target() -> None:
-    env = build("layout:3", num_envs=2)
-    _, info = begin(env, 0, 2)
-    told = [spec["perturbation"]["layout"] for spec in info["episode_spec"]]
-    assert told[0]["distractors"] >= 1 and told[0]["redrawn"] < 20
-    # Nothing fits beside the other target: the objects stay, and the record tells it.
-    assert told[1] == {"level": 3, "redrawn": 20, "kept": True}
-    plain = build()
-    for index, moved in ((0, told[0]["distractors"]), (2, 0)):
-        one = env.make_episode(0, index)
-        other = plain.make_episode(0, index)
-        apart = np.linalg.norm(one.object_pose[:, :3] - other.object_pose[:, :3], axis=1)
-        assert (apart > 0.03).sum() == moved
+FEW: dict[str, Any] = {"split": "val", "home": "builtin_m3_0[0-2]"}
+
+
+@pytest.fixture(scope="module")
+def layouts() -> Iterator[tuple[SequentialTaskEnv, SequentialTaskEnv]]:
+    """An environment with and one without perturbed layouts, in a few homes."""
+    pair = build("layout:3", **FEW), build(**FEW)
+    yield pair
+    for env in pair:
+        env.close()
+
+
+def test_distractors_stand_beside_the_target(layouts: Any) -> None:
+    env, plain = layouts
+    pack = env.layout.pack
+    kept = []
+    for index in range(4):
+        one, other = env.make_episode(0, index), plain.make_episode(0, index)
+        told = one.perturbed["layout"]
+        home, version = (pack.homes_by_name[each.home] for each in (other, one))
+        # What stands on a chair is moved with it.
+        pose = carried(pack, home, version, other.object_pose)
+        apart = np.linalg.norm(one.object_pose[:, :3] - pose[:, :3], axis=1)
+        assert (apart > 0.03).sum() == told.get("distractors", 0)
         targets = [env.layout.object_names.index(t.obj) for t in one.targets]
         assert (apart[targets] < 0.02).all()
-    env.close()
-    plain.close()
+        kept.append("kept" in told)
+        # Where nothing fits beside the target the objects stay, and the record tells it.
+        assert told["redrawn"] == 20 if kept[-1] else told["redrawn"] < 20
+    assert any(kept) and not all(kept)
+
+
+def test_chairs_are_moved_and_ways_stay_free(layouts: Any) -> None:
+    """In a version of the home, which no episode is drawn in, and only where the episode stays possible."""
+    env, plain = layouts
+    pack = env.layout.pack
+    found = {}
+    for index in range(4):
+        one, other = env.make_episode(0, index), plain.make_episode(0, index)
+        told = one.perturbed["layout"]
+        home, version = (pack.homes_by_name[each.home] for each in (other, one))
+        pieces = moved_pieces(home, version)
+        assert len(pieces) == told["moved"] and is_version(version) == bool(pieces)
+        assert told["refused"] == 2 or pieces
+        shifts = [np.subtract(b.pos, a.pos) for a, b in pieces]
+        assert all(0.0 < np.hypot(*by[:2]) <= 0.3 and by[2] == 0 for by in shifts)
+        found[index] = (one.home, pieces)
+        free, before = (shared_map(h, pack).navigable().sum() for h in (version, home))
+        assert free >= 0.9 * before
+    assert any("chair_01" in {a.template for a, _ in p} for _, p in found.values())
+    index = next(index for index, (_, pieces) in found.items() if pieces)
+    _, info = begin(env, index)
+    assert info["episode_spec"][0]["home"] == found[index][0]
+    walk(env, 1)
+
+
+def test_what_makes_an_episode_impossible_is_refused() -> None:
+    """A piece on which an object stands or where it is to be put, and a version in which the base does not come."""
+    pack = mjhab.open_pack("builtin")
+    home = pack.homes_by_name["builtin_m3_00"]
+    larger = with_moved_furniture(pack, [home.name], (0.3,))
+    version = larger.homes_by_name[version_name(home.name, 0.3, 0)]
+    nothing = Things(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 2)))
+    pieces = moved_pieces(home, version)
+    before, after = next(pair for pair in pieces if pair[0].template == "chair_01")
+    seat = larger.props["chair_01"].receptacles[0].pos[2]
+    for x, y, z in ((*before.pos[:2], seat), (*after.pos[:2], 0.05)):
+        place = np.array([[x, y, z + 0.03]])
+        handled = nothing._replace(handled=place)
+        assert not is_possible(larger, home, version, handled)
+    # Other objects on a chair are moved with it.
+    place = np.array([[*before.pos[:2], seat + 0.03]])
+    assert is_possible(larger, home, version, nothing._replace(others=place))
+    poses = np.array([[*place[0], 1.0, 0.0, 0.0, 0.0]])
+    moved = carried(larger, home, version, poses)
+    np.testing.assert_allclose(moved[0, :3], [*after.pos[:2], seat + 0.03])
+    x0, y0, x1, y1 = home.floor
+    wall = Geom("box", (0.05, (y1 - y0) / 2, 1.0), ((x0 + x1) / 2, (y0 + y1) / 2, 1.0))
+    halved = dataclasses.replace(version, name="halved", walls=(*version.walls, wall))
+    assert not is_possible(larger, home, halved, nothing)
+    # What stands in front of a drawer keeps it shut.
+    at = next(at for at in home.articulations if at.template == "kitchen_counter")
+    out = np.array([np.cos(at.yaw), np.sin(at.yaw)]) * 0.5
+    handle = (float(at.pos[0] + out[0]), float(at.pos[1] + out[1]))
+    front = dataclasses.replace(before, pos=(*handle, before.pos[2]))
+    props = tuple(front if at == before else at for at in home.props)
+    shut = dataclasses.replace(home, name="shut", props=props)
+    assert not is_possible(larger, home, shut, nothing)
 
 
 # -- reproducible ------------------------------------------------------------------------------------------------------
@@ -556,7 +639,7 @@ def test_every_subtask_begins_with_every_axis() -> None:
     axes = ",".join(f"{axis}:2" for axis in AXES)
     for kind in ("open", "close", "navigate"):
         assert kind in SUBTASKS
-        env = build(axes, task="set_table", subtask=kind)
+        env = build(axes, task="set_table", subtask=kind, **FEW)
         _, info = begin(env, 0)
         assert set(info["episode_spec"][0]["perturbation"]) == set(AXES)
         walk(env, 1)

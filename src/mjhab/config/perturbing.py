@@ -180,6 +180,10 @@ class Perturbation:
         """Plain data that is drawn once for an episode and recorded with it."""
         return {}
 
+    def furniture(self, drawn: Drawn) -> float:
+        """The largest distance [m] by which chairs and other loose furniture are moved; of the level alone."""
+        raise NotImplementedError
+
     def objects(
         self, drawn: Drawn, scene: ObjectScene, attempt: int
     ) -> tuple[np.ndarray, Mapping[str, Any]] | None:
@@ -245,6 +249,12 @@ class Perturbation:
         }
         return any(seen.get(hook, True) for hook in self.hooks)
 
+    def amounts(self, level: int) -> dict[str, float]:
+        """Its numbers at a level, by name of the quantity."""
+        return {
+            name: quantity.levels[level - 1] for name, quantity in self.quantities.items()
+        }
+
     @cached_property
     def hooks(self) -> frozenset[str]:
         """Names of the hooks that it overrides."""
@@ -256,6 +266,7 @@ class Perturbation:
 
 
 HOOKS = (
+    "furniture",
     "objects",
     "start",
     "sentence",
@@ -377,14 +388,24 @@ class PerturbationPlan:
         for axis in self.axes:
             level = self._level(axis.name, seed, index)
             if level:
-                amounts = {
-                    name: quantity.levels[level - 1]
-                    for name, quantity in axis.quantities.items()
-                }
+                amounts = axis.amounts(level)
                 bare = Drawn(axis.name, level, seed, index, amounts)
                 values = called(axis.name, "draw", bare, robot)
                 found.append(Drawn(axis.name, level, seed, index, amounts, dict(values)))
         return tuple(found)
+
+    def shifts(self) -> tuple[float, ...]:
+        """The distances [m] by which furniture may be moved, of all levels that an episode can have."""
+        found = set()
+        for axis in self.axes:
+            if "furniture" not in axis.hooks:
+                continue
+            highest = self.fixed.get(axis.name, self.random.get(axis.name, 0))
+            lowest = highest if axis.name in self.fixed else 1
+            for level in range(lowest, highest + 1):
+                bare = Drawn(axis.name, level, 0, 0, axis.amounts(level))
+                found.add(float(called(axis.name, "furniture", bare)))
+        return tuple(sorted(found))
 
     def _level(self, axis: str, seed: int, index: int) -> int:
         if axis in self.fixed:

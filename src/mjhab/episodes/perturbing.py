@@ -14,12 +14,21 @@ from mjhab.core.joints import BASE
 from mjhab.core.rotations import pose_inv, pose_mul
 from mjhab.episodes.episode import Episode
 from mjhab.episodes.generator import MAX_DRIFT, MAX_SPEED
+from mjhab.episodes.moved_furniture import (
+    VERSIONS,
+    Things,
+    carried,
+    is_possible,
+    moved_pieces,
+    version_name,
+)
 from mjhab.episodes.starts import Start, StartMaker
 from mjhab.episodes.zones import receptacle_below
 from mjhab.layout.layout import yaw_quat
 from mjhab.layout.receptacles import placed_receptacles
 from mjhab.layout.standing import clear_of, standing_on
 from mjhab.robots.robot import Robot
+from mjhab.scenes.spec import Home
 from mjhab.sim.mujoco.settle import settle
 from mjhab.tasks.household.registry import chain
 from mjhab.tasks.plan import Target
@@ -48,11 +57,15 @@ class EpisodePerturber:
         plan = starts.config.perturbations
         self._plan = plan
         hooks = {hook for axis in plan.axes for hook in axis.hooks}
+        self._of_furniture = "furniture" in hooks
         self._of_objects = "objects" in hooks
         self._of_start = "start" in hooks
 
     def objects(self, episode: Episode) -> Episode:
-        """The episode with its objects perturbed; the same one if nothing is asked for."""
+        """The episode with its home and objects perturbed; the same one if nothing is asked for."""
+        if self._of_furniture:
+            for drawn in self._drawn(episode, "furniture"):
+                episode = self._moved(episode, drawn)
         if not self._of_objects:
             return episode
         for drawn in self._drawn(episode, "objects"):
@@ -60,9 +73,55 @@ class EpisodePerturber:
             pose, told = _first(drawn, "objects", scene, (len(episode.object_pose), 7))
             if pose is not None:
                 episode = dataclasses.replace(episode, object_pose=pose)
+            told = {**episode.perturbed.get(drawn.axis, {}), **told}
             perturbed = {**episode.perturbed, drawn.axis: told}
             episode = dataclasses.replace(episode, perturbed=perturbed)
         return episode
+
+    def _moved(self, episode: Episode, drawn: Drawn) -> Episode:
+        """The episode in a version of its home in which furniture was moved, the first possible one in a drawn order.
+
+        "moved" is recorded, the number of pieces, and "refused", the number of versions that were impossible.
+        """
+        layout = self._starts.layout
+        homes = layout.pack.homes_by_name
+        home = homes[episode.home]
+        shift = called(drawn.axis, "furniture", drawn)
+        names = [version_name(home.name, shift, number) for number in range(VERSIONS)]
+        known = [name for name in names if name in homes]
+        order = drawn.stream("furniture").permutation(len(known)).tolist()
+        things = self._things(episode, home)
+        refused = 0
+        found = home
+        for k in order:
+            version = homes[known[k]]
+            if is_possible(layout.pack, home, version, things):
+                found = version
+                break
+            refused += 1
+        told = {"moved": len(moved_pieces(home, found)), "refused": refused}
+        pose = carried(layout.pack, home, found, episode.object_pose)
+        perturbed = {**episode.perturbed, drawn.axis: told}
+        return dataclasses.replace(
+            episode, home=found.name, object_pose=pose, perturbed=perturbed
+        )
+
+    def _things(self, episode: Episode, home: Home) -> Things:
+        """What the furniture of an episode's home must leave in place."""
+        layout = self._starts.layout
+        targets = _handled(self._starts, episode) or episode.targets
+        names = {target.obj for target in targets}
+        is_target = np.array([name in names for name in layout.object_names])
+        apart = np.abs(episode.object_pose[:, :2] - layout.parked_poses[:, :2])
+        used = apart.max(axis=1) > PARKED_M
+        places = episode.object_pose[:, :3]
+        goals = [target.goal_pos for target in targets]
+        handles = [layout.closed_handle(home, name)[:2] for name in layout.link_ids]
+        return Things(
+            np.concatenate([places[is_target], np.array(goals).reshape(-1, 3)]),
+            places[used & ~is_target],
+            np.array(handles).reshape(-1, 2),
+        )
 
     def start(self, start: Start, episode: Episode) -> Start:
         """The start with the robot perturbed; the same one if nothing is asked for."""
@@ -104,6 +163,15 @@ def _first(
                 )
             return values, {**told, "redrawn": attempt}
     return None, {"redrawn": MAX_DRAWS, "kept": True}
+
+
+def _handled(starts: StartMaker, episode: Episode) -> tuple[Target, ...]:
+    """The target of the subtask that the episode consists of; none for a chain, and for Open and Close."""
+    if not starts.config.subtask:
+        return ()
+    plan = chain(episode.task, episode.targets, episode.home)
+    obj = plan.subtasks[starts.position_of(plan, episode)].obj
+    return tuple(target for target in episode.targets if target.obj == obj)
 
 
 class _RobotMoves:
@@ -164,23 +232,18 @@ class _Objects:
             for slot in range(len(names))
             if names[slot] not in targets and used[slot]
         ]
-        target = self._handled(drawn)
+        target = self._beside(drawn)
         alone = starts.config.subtask
         at_goal = bool(alone) and SUBTASKS[alone].starts_holding
         self._slot = names.index(target.obj)
         self._point = np.array(target.goal_pos if at_goal else target.start_pos)
         self._radii = [float(np.hypot(*each.half[:2])) for each in layout.objects]
 
-    def _handled(self, drawn: Drawn) -> Target:
+    def _beside(self, drawn: Drawn) -> Target:
         """The target of the subtask that the episode consists of; a drawn one in a chain, and of Open and Close."""
         episode = self._episode
-        targets = {target.obj: target for target in episode.targets}
-        if self._starts.config.subtask:
-            plan = chain(episode.task, episode.targets, episode.home)
-            obj = plan.subtasks[self._starts.position_of(plan, episode)].obj
-            if obj in targets:
-                return targets[obj]
-        return episode.targets[int(drawn.stream("target").integers(len(episode.targets)))]
+        targets = _handled(self._starts, episode) or episode.targets
+        return targets[int(drawn.stream("target").integers(len(targets)))]
 
     def beside_target(
         self, slots: Sequence[int], gap: float, random: np.random.Generator

@@ -13,6 +13,8 @@ from mjhab.episodes.episode import Episode
 from mjhab.episodes.generator import EpisodeMaker
 from mjhab.episodes.hab.format import HabFile, read_hab
 from mjhab.episodes.hab.reader import FileEpisodes, file_roster
+from mjhab.episodes.homes import homes_named, homes_of
+from mjhab.episodes.moved_furniture import with_moved_furniture
 from mjhab.episodes.perturbing import EpisodePerturber
 from mjhab.episodes.rosters import object_roster
 from mjhab.episodes.starts import Start, StartMaker, check_target
@@ -20,6 +22,7 @@ from mjhab.episodes.zones import with_zones
 from mjhab.layout.layout import Layout
 from mjhab.robots.registry import robot_named
 from mjhab.scenes.packs import open_pack
+from mjhab.scenes.spec import Pack
 from mjhab.sim.mujoco.cpu import CpuSimulator
 from mjhab.tasks.household.registry import TASKS
 from mjhab.tasks.thresholds import TaskConfig
@@ -44,13 +47,26 @@ def open_setting(config: EnvConfig) -> Setting:
     Raises:
         UsageError: there is no such pack, file or target, or they do not fit each other.
     """
-    pack = open_pack(config.assets)
+    pack = _with_versions(open_pack(config.assets), config)
     file = read_hab(Path(config.episodes_file)) if config.episodes_file else None
     objects = file_roster(file, pack) if file else object_roster(config, pack)
     robot = robot_named(config.robot)
     layout = Layout(pack, objects, robot, config.joint_dynamics)
     check_target(config, layout)
     return Setting(layout, file)
+
+
+def _with_versions(pack: Pack, config: EnvConfig) -> Pack:
+    """The pack, with further versions of the homes of the configuration if it perturbs furniture.
+
+    Files of episodes and of start states name the homes that they were made in, which stay as they are.
+    """
+    shifts = config.perturbations.shifts()
+    if not shifts or config.episodes_file or config.spawns:
+        return pack
+    find = homes_named if config.home else homes_of
+    homes = find(pack, config.home or config.split)
+    return with_moved_furniture(pack, [home.name for home in homes], shifts)
 
 
 class EpisodeSource:

@@ -147,7 +147,8 @@ def score_perturbed(
             found[row.name] = paired(clean[row.name], records)
             won[row.name] = sum(record.success_once is True for record in records)
             drawn += [record.perturbation.get(axis, {}) for record in records]
-        redrawn = sum(int(told.get("redrawn", 0)) for told in drawn)
+        again = ("redrawn", "refused")
+        redrawn = sum(int(told.get(name, 0)) for told in drawn for name in again)
         kept = sum(bool(told.get("kept")) for told in drawn)
         arm = PerturbedArm(axis, level, found, won, tuple(unreached), redrawn, kept)
         arms.append(arm)

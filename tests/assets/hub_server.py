@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import hashlib
 import json
 import signal
@@ -15,18 +16,27 @@ COMMIT = "0123456789abcdef0123456789abcdef01234567"
 
 
 class FakeHub:
-    """Serves one data set's repository at one commit, as `huggingface_hub` asks for it.
+    """Serves one repository at one commit, as `huggingface_hub` asks for it, and takes commits to it.
 
     ``faults[path]``: what happens to the next requests of that file, one word each: ``cut`` (half of what was asked
     for, then the connection closes), ``wrong`` (one bit is turned), ``whole`` (ranges are ignored), ``busy`` (503),
     ``gone`` (the connection closes at once), ``silent`` (nothing comes),
     ``ctrl-c`` (this process is interrupted after a half). ``asked``: (path, Range header) of every GET
-    of a file. ``body``: sent in place of the list of files.
+    of a file. ``body``: sent in place of the list of files. ``kind``: "dataset" or "model". ``token``: that commits
+    need. ``commits``: messages of those that were made. ``refuses``: HTTP states of the next commits, in order.
     """
 
     def __init__(
-        self, repo: str, files: dict[str, bytes], lfs: tuple[str, ...] = ()
+        self,
+        repo: str,
+        files: dict[str, bytes],
+        lfs: tuple[str, ...] = (),
+        kind: str = "dataset",
     ) -> None:
+        self.kind = kind
+        self.token = "secret"
+        self.commits: list[str] = []
+        self.refuses: list[int] = []
         self.repo = repo
         self.files = files
         self.lfs = lfs
@@ -40,6 +50,9 @@ class FakeHub:
         class Handler(BaseHTTPRequestHandler):
             def do_GET(self) -> None:
                 hub.answer(self)
+
+            def do_POST(self) -> None:
+                hub.take(self)
 
             def do_HEAD(self) -> None:
                 hub.answer(self)
@@ -63,17 +76,51 @@ class FakeHub:
         parts = urlsplit(request.path)  # a proxy is asked for whole addresses
         self.hosts.add(parts.netloc)
         path = unquote(parts.path)
-        if path.startswith(f"/api/datasets/{self.repo}/revision/"):
+        if path.startswith(f"/api/{self.kind}s/{self.repo}/revision/"):
             rows = [self._sibling(path) for path in sorted(self.files)]
             self._json(request, {"id": self.repo, "sha": COMMIT, "siblings": rows})
-        elif path == f"/api/datasets/{self.repo}/tree/{COMMIT}":
+        elif path == f"/api/{self.kind}s/{self.repo}/tree/{COMMIT}":
             self._json(request, [self._row(path) for path in sorted(self.files)])
-        elif path.startswith(f"/datasets/{self.repo}/resolve/{COMMIT}/"):
+        elif path.startswith(f"{self._place}/resolve/{COMMIT}/"):
             self._file(request, path.split(f"/resolve/{COMMIT}/")[1])
         else:
             request.send_response(404)
             request.send_header("X-Error-Code", "RepoNotFound")
             request.end_headers()
+
+    @property
+    def _place(self) -> str:
+        return f"{'/datasets' if self.kind == 'dataset' else ''}/{self.repo}"
+
+    def take(self, request: BaseHTTPRequestHandler) -> None:
+        """Answer the requests of a commit; its files are there when the last one is answered, or none is."""
+        body = request.rfile.read(int(request.headers.get("Content-Length", 0)))
+        path = unquote(urlsplit(request.path).path)
+        if request.headers.get("Authorization") != f"Bearer {self.token}":
+            request.send_error(401)
+        elif path == "/api/repos/create":
+            self._json(request, {"url": f"{self.endpoint}{self._place}"})
+        elif path == "/api/validate-yaml":
+            self._json(request, {"errors": [], "warnings": []})
+        elif path == f"/api/{self.kind}s/{self.repo}/preupload/main":
+            rows = [
+                {"path": each["path"], "uploadMode": "regular", "shouldIgnore": False}
+                for each in json.loads(body)["files"]
+            ]
+            self._json(request, {"files": rows})
+        elif path == f"/api/{self.kind}s/{self.repo}/commit/main" and self.refuses:
+            request.send_error(self.refuses.pop(0))
+        elif path == f"/api/{self.kind}s/{self.repo}/commit/main":
+            lines = [json.loads(line) for line in body.splitlines() if line.strip()]
+            for line in lines:
+                if line["key"] == "file":
+                    content = base64.b64decode(line["value"]["content"])
+                    self.files[line["value"]["path"]] = content
+            self.commits.append(lines[0]["value"]["summary"])
+            url = f"{self.endpoint}{self._place}/commit/{COMMIT}"
+            self._json(request, {"commitUrl": url, "commitOid": COMMIT})
+        else:
+            request.send_error(404)
 
     def _hash(self, path: str) -> str:
         data = self.files[path]

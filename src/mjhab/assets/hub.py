@@ -1,4 +1,4 @@
-"""A data set's repository on the hub: what it holds at one commit, and its download by `huggingface_hub`.
+"""A repository on the hub: what it holds at one commit, and its download by `huggingface_hub`.
 
 The library fetches several files at once, continues cut connections, and honours proxies, tokens and Xet. Two things
 are ours, as of its version 2.4: it compares sizes alone with what the hub lists (one turned bit is installed; without
@@ -83,14 +83,40 @@ class RemoteFile:
 
 @dataclass(frozen=True)
 class Repository:
-    """The files of a data set's repository at one commit, by path."""
+    """The files of a repository at one commit, by path. kind: "dataset" or "model"."""
 
     name: str
     commit: str
     files: Mapping[str, RemoteFile]
+    kind: str = "dataset"
+
+    @property
+    def address(self) -> str:
+        """Where a browser finds it."""
+        return address_of(self.name, self.kind)
 
 
-def list_files(name: str, revision: str) -> Repository:
+def address_of(name: str, kind: str) -> str:
+    """Where a browser finds a repository."""
+    return f"{hub_endpoint()}/{'datasets/' if kind == 'dataset' else ''}{name}"
+
+
+def check_repository(name: str) -> None:
+    """Refuse a name that no repository can have.
+
+    Raises:
+        UsageError: it is none.
+    """
+    from huggingface_hub.errors import HFValidationError
+    from huggingface_hub.utils import validate_repo_id
+
+    try:
+        validate_repo_id(name)
+    except HFValidationError as error:
+        raise wrong_value("repo", name, f"a repository ({reason(error)})") from error
+
+
+def list_files(name: str, revision: str, kind: str = "dataset") -> Repository:
     """The files of a repository at the commit that a revision names now.
 
     Raises:
@@ -98,28 +124,28 @@ def list_files(name: str, revision: str) -> Repository:
         TransferError: the hub has no such repository or revision, cannot be reached, or answers something else.
     """
     from huggingface_hub import HfApi
-    from huggingface_hub.errors import HFValidationError
-    from huggingface_hub.utils import logging, validate_repo_id
+    from huggingface_hub.utils import logging
 
-    try:
-        validate_repo_id(name)
-    except HFValidationError as error:
-        raise wrong_value("repo", name, f"a repository ({reason(error)})") from error
+    check_repository(name)
     logging.set_verbosity_error()
-    where = f"{hub_endpoint()}/datasets/{name}"
+    where = address_of(name, kind)
     api = HfApi(hub_endpoint(), library_name="mjhab", library_version=__version__)
 
     def ask() -> Repository:
-        info = api.dataset_info(
-            name, revision=revision, files_metadata=True, timeout=TIMEOUT_S
+        info = api.repo_info(
+            name,
+            revision=revision,
+            repo_type=kind,
+            files_metadata=True,
+            timeout=TIMEOUT_S,
         )
         if not isinstance(info.sha, str):
             raise ValueError("it names no commit")
         rows = info.siblings or []
         files = {safe_path(row.rfilename, where): _remote(row) for row in rows}
-        return Repository(name, info.sha, files)
+        return Repository(name, info.sha, files, kind)
 
-    return _patiently(ask, where)
+    return patiently(ask, where)
 
 
 def _remote(row: Any) -> RemoteFile:
@@ -156,7 +182,7 @@ def download(repository: Repository, paths: Collection[str], folder: Path) -> No
         bring = functools.partial(
             snapshot_download,
             repository.name,
-            repo_type="dataset",
+            repo_type=repository.kind,
             revision=repository.commit,
             endpoint=hub_endpoint(),
             local_dir=folder,
@@ -179,10 +205,10 @@ def download(repository: Repository, paths: Collection[str], folder: Path) -> No
                 passes=True,
             )
 
-    _patiently(ask, f"{hub_endpoint()}/datasets/{repository.name}")
+    patiently(ask, repository.address)
 
 
-def _patiently(ask: Callable[[], Answer], what: str) -> Answer:
+def patiently(ask: Callable[[], Answer], what: str) -> Answer:
     """What ``ask`` returns, asked again after failures that pass.
 
     Raises:

@@ -68,6 +68,7 @@ GROUPS = {
     "train": "train a policy",
     "data": "recorded episodes: list, query, check, merge, import",
     "dataset": "data sets that can be published: make, check, push, pull",
+    "policy": "trained policies to and from the hub",
     "export": "recorded episodes in other formats",
 }
 """Commands of two words by their first one."""
@@ -122,6 +123,30 @@ COMMANDS: tuple[Command, ...] = (
         "compare the files of a data set with its list",
         "datasets.publish:run_check",
         "evaluation.publishing.spec:DatasetCheckSpec",
+    ),
+    Command(
+        "dataset push",
+        "upload a data set to the Hugging Face Hub",
+        "datasets.hub:run_push",
+        "evaluation.publishing.spec:DatasetPushSpec",
+    ),
+    Command(
+        "dataset pull",
+        "download one, and compare its files with its list",
+        "datasets.hub:run_pull",
+        "evaluation.publishing.spec:PullSpec",
+    ),
+    Command(
+        "policy push",
+        "upload a trained policy",
+        "datasets.hub:run_policy_push",
+        "evaluation.publishing.spec:PolicyPushSpec",
+    ),
+    Command(
+        "policy pull",
+        "download one",
+        "datasets.hub:run_policy_pull",
+        "evaluation.publishing.spec:PullSpec",
     ),
     Command(
         "train bc",

@@ -10,7 +10,9 @@ from mjhab.evaluation.publishing.about import ABOUT
 
 EXPORTED = "meta/files.json"
 """List of the files of an export."""
-LISTS = (ABOUT, EXPORTED)
+POLICY = "policy.json"
+"""Record and list of a published policy."""
+LISTS = (ABOUT, EXPORTED, POLICY)
 
 
 def list_of(folder: Path) -> Path:

@@ -183,3 +183,71 @@ class DatasetCheckSpec:
 
     def __post_init__(self) -> None:
         take_options(self)
+
+
+REPO = Flag(metavar="USER/NAME", positional=True)
+
+
+@dataclass(frozen=True)
+class DatasetPushSpec:
+    """Upload a data set of `mjhab dataset make`, or an export, with its card to the Hugging Face Hub, in one commit.
+
+    `mjhab dataset push sets/ms_hab_7 USER/ms_hab_7`
+
+    Its files are compared with its list first. The token is that of HF_TOKEN or `hf auth login`; HF_ENDPOINT names
+    another hub.
+    """
+
+    folder: Annotated[Path, Flag(metavar="FOLDER", positional=True)]
+    """Its folder."""
+    repo: Annotated[str, REPO]
+    """The repository; it is made if it is not there."""
+    private: bool = False
+    """Make a new repository private."""
+
+    def __post_init__(self) -> None:
+        take_options(self)
+
+
+@dataclass(frozen=True)
+class PolicyPushSpec:
+    """Upload a trained policy with a card made of its record to the Hugging Face Hub, in one commit.
+
+    `mjhab policy push runs/pick/student.safetensors USER/pick-bowl`
+
+    The token is that of HF_TOKEN or `hf auth login`; HF_ENDPOINT names another hub.
+    """
+
+    policy: Annotated[Path, Flag(metavar="FILE.safetensors|FOLDER", positional=True)]
+    """A checkpoint of `mjhab train`, or a folder of training runs, of which every student is taken."""
+    repo: Annotated[str, REPO]
+    """The repository; it is made if it is not there."""
+    licence: Annotated[str, Flag(metavar="NAME", shown="default: none is told")] = ""
+    """Licence in the card, as the hub names it, such as apache-2.0."""
+    private: bool = False
+    """Make a new repository private."""
+
+    def __post_init__(self) -> None:
+        take_options(self)
+
+
+@dataclass(frozen=True)
+class PullSpec:
+    """Download what `push` has uploaded from the Hugging Face Hub, and compare its files with its list.
+
+    `mjhab dataset pull USER/ms_hab_7 --out sets/ms_hab_7`
+
+    `mjhab policy pull USER/pick-bowl --out policies/pick`
+
+    A download that was stopped goes on with the same command.
+    """
+
+    repo: Annotated[str, REPO]
+    """The repository."""
+    out: Annotated[Path, Flag(metavar="FOLDER"), Output()]
+    """The folder to write."""
+    revision: str = "main"
+    """Branch, tag or commit."""
+
+    def __post_init__(self) -> None:
+        take_options(self)

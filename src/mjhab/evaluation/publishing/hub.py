@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from mjhab.assets.hub import download, list_files
 from mjhab.assets.uploads import upload
 from mjhab.core.errors import UsageError, fault
@@ -63,8 +65,8 @@ def push_folder(folder: Path, repo: str, kind: str, private: bool = False) -> Pu
     files = {name: folder / name for name in names if (folder / name).is_file()}
     about = f"mjhab: {folder.resolve().name}"
     address = upload(repo, kind, files, about, private)
-    size = [path.stat().st_size for path in files.values()]
-    return Pushed(address, len(files), int(sum(size)))
+    size = int(np.sum([path.stat().st_size for path in files.values()]))
+    return Pushed(address, len(files), size)
 
 
 def pull(spec: PullSpec, kind: str) -> Pulled:

@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
+import json
+from pathlib import Path
+
 import numpy as np
 import pytest
 
-from mjhab.evaluation.datasets.actions import _in_mode
+import mjhab
+from mjhab.evaluation.datasets import actions
+from mjhab.evaluation.datasets.actions import ConvertedReplay, _in_mode, replay_converted
+from mjhab.evaluation.datasets.specs import ReplaySpec
 from mjhab.robots.controllers import make_controller
 from mjhab.robots.fetch.robot import ROBOT
+from tests.refusals import command
 
 COUNT = 40
 
@@ -37,11 +44,11 @@ def test_converted_actions_command_the_same(
     random = np.random.default_rng(1)
     q = poses(random)
     # A small part of the range: turns of many joints together exceed what an end-effector mode does in a control step.
-    actions = random.uniform(-0.1, 0.1, (COUNT, 13)).astype(np.float32)
-    recorded = make_controller("pd_joint_delta_pos", COUNT).command(actions, q)
+    moves = random.uniform(-0.1, 0.1, (COUNT, 13)).astype(np.float32)
+    recorded = make_controller("pd_joint_delta_pos", COUNT).command(moves, q)
     other = make_controller(mode, COUNT)
     other.reset(np.ones(COUNT, bool), _State(q))
-    changed = _in_mode(other, actions, q)
+    changed = _in_mode(other, moves, q)
     assert changed.dtype == np.float32 and changed.shape == (COUNT, other.dim)
     commanded = other.command(changed, q)
     arm = list(ROBOT.arm_columns)
@@ -51,6 +58,39 @@ def test_converted_actions_command_the_same(
     assert np.linalg.norm(here - there, axis=1).max() < most_m
     rest = [column for column in range(len(ROBOT.joints)) if column not in arm]
     np.testing.assert_array_equal(commanded[:, rest], recorded[:, rest])
+
+
+def test_converted_actions_are_replayed_and_counted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    made = mjhab.generate(
+        "zero",
+        home="builtin_m0_00",
+        subtask="close",
+        episodes=2,
+        horizon=4,
+        num_envs=2,
+        threads=1,
+        out=tmp_path / "set",
+    )
+    found = replay_converted(
+        ReplaySpec.of(made.path, verify=True, actions="pd_joint_pos", worlds=2)
+    )
+    assert found == ConvertedReplay(2, 0, 0, 0)
+    monkeypatch.setattr(
+        actions, "_succeed", lambda env, batch, mode: [e.record.index > 0 for e in batch]
+    )
+    assert (
+        command("replay", made.path, "--verify", "--actions", "pd_ee_pose", "--json") == 0
+    )
+    told = json.loads(capsys.readouterr().out.splitlines()[-1])
+    assert told == {
+        "actions": "pd_ee_pose",
+        "episodes": 2,
+        "recorded": 0,
+        "replayed": 1,
+        "both": 0,
+    }
 
 
 class _State:

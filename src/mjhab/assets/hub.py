@@ -141,7 +141,7 @@ def list_files(name: str, revision: str, kind: str = "dataset") -> Repository:
         )
         if not isinstance(info.sha, str):
             raise ValueError("it names no commit")
-        rows = info.siblings or []
+        rows = getattr(info, "siblings", None) or []
         files = {safe_path(row.rfilename, where): _remote(row) for row in rows}
         return Repository(name, info.sha, files, kind)
 

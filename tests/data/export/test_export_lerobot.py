@@ -20,6 +20,7 @@ from mjhab.data.export.lerobot.export import Exported
 from mjhab.data.export.lerobot.features import FPS, Choice
 from mjhab.data.export.lerobot.parts import FilmTools
 from mjhab.data.export.lerobot.stats import aggregate, image_stats, vector_stats
+from mjhab.data.select.clouds import Clouds
 from mjhab.data.select.describing import state_names, subtask_words
 from mjhab.data.select.own_state import split_state
 from mjhab.data.select.query import Filter
@@ -347,6 +348,19 @@ def test_ids_that_mean_other_things_are_refused(tmp_path: Path) -> None:
         export(tmp_path, tmp_path / "out/set")
 
 
+def check_clouds(episode: RecordedEpisode, height: float) -> None:
+    """Points of clouds are those that the environment sees, with their colours; the same ones every time."""
+    clouds = Clouds(episode, 200, height)
+    first, points = clouds.at(0), clouds.at(1)
+    seen = episode.array("obs/pointcloud/xyz")[1]
+    colours = episode.array("obs/pointcloud/rgb")[1] / 255
+    for point in points:
+        near = np.linalg.norm(seen - point[:3], axis=1) < 0.003
+        assert near.any() and np.abs(colours[near] - point[3:]).max(axis=1).min() < 1e-6
+    assert len(np.unique(points, axis=0)) == 200
+    np.testing.assert_array_equal(Clouds(episode, 200, height).at(0), first)
+
+
 def test_pixels_of_the_floor_lie_on_the_floor_by_what_the_export_says(
     tmp_path: Path,
 ) -> None:
@@ -356,13 +370,16 @@ def test_pixels_of_the_floor_lie_on_the_floor_by_what_the_export_says(
         home="builtin_m0_00",
         num_envs=1,
         threads=1,
-        obs_mode="depth+seg",
+        obs_mode="rgbd+seg+pointcloud",
         camera_size=24,
         autoreset="disabled",
     )
     record(tmp_path / "a.h5", [0], env, images=ImageFormat(), max_steps=2)
-    export(tmp_path / "a.h5", tmp_path / "set")
+    export(tmp_path / "a.h5", tmp_path / "set", choice=Choice(points=50))
     rows = pq.read_table(tmp_path / "set/data/chunk-000/file-000.parquet")
+    assert np.array(rows["observation.pointcloud"].to_pylist()).shape == (2, 50, 6)
+    (episode,) = episodes(tmp_path / "a.h5")
+    check_clouds(episode, env.layout.robot.base_height)
     names = json.loads((tmp_path / "set/meta/segments.json").read_text())
     camera = json.loads((tmp_path / "set/meta/cameras.json").read_text())["fetch_head"]
     depth, seg, pose = (

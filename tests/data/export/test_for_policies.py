@@ -15,12 +15,10 @@ import pyarrow.parquet as pq
 import pytest
 from PIL import Image
 
-import mjhab
 from mjhab.data.export.lerobot import files as layout
 from mjhab.data.export.lerobot.features import Choice
 from mjhab.data.export.lerobot.parts import FilmTools
 from mjhab.data.record.recorder import Recorder
-from mjhab.data.select.clouds import Clouds
 from mjhab.data.store.images import ImageFormat
 from mjhab.data.store.places import episodes
 from mjhab.data.store.shard import ShardWriter
@@ -193,42 +191,6 @@ def test_times_of_a_film_of_many_parts_are_those_of_its_frames(tmp_path: Path) -
     lines = [line for line in done.stdout.splitlines() if not line.startswith("#")]
     times = [int(line.split(",")[2]) * scale for line in lines]
     np.testing.assert_allclose(times, np.arange(40 * 12) / 20, atol=1e-4)
-
-
-def test_clouds_are_what_the_environment_sees(tmp_path: Path) -> None:
-    env = mjhab.make(
-        task="set_table",
-        subtask="pick",
-        home="builtin_m0_00",
-        num_envs=1,
-        threads=1,
-        obs_mode="rgbd+pointcloud",
-        camera_size=24,
-        autoreset="disabled",
-    )
-    record(tmp_path / "a.h5", [0], env, images=ImageFormat(), max_steps=2)
-    (episode,) = episodes(tmp_path / "a.h5")
-    height = env.layout.robot.base_height
-    cloud = Clouds(episode, 200, height)
-    first = cloud.at(0)
-    points = cloud.at(1)
-    seen = episode.array("obs/pointcloud/xyz")[1]
-    colours = episode.array("obs/pointcloud/rgb")[1] / 255
-    for point in points:
-        gaps = np.linalg.norm(seen - point[:3], axis=1)
-        near = gaps < 0.003
-        assert near.any() and np.abs(colours[near] - point[3:]).max(axis=1).min() < 1e-6
-    assert len(np.unique(points, axis=0)) == 200
-    np.testing.assert_array_equal(Clouds(episode, 200, height).at(0), first)
-    choice = Choice(rgb=False, depth=False, points=50)
-    to_lerobot(tmp_path / "a.h5", tmp_path / "set", FILMS, choice=choice)
-    info = json.loads((tmp_path / "set/meta/info.json").read_text())
-    assert info["features"]["observation.pointcloud"]["shape"] == [50, 6]
-    assert np.array(rows_of(tmp_path / "set")["observation.pointcloud"]).shape == (
-        2,
-        50,
-        6,
-    )
 
 
 def test_clouds_need_images(tmp_path: Path) -> None:

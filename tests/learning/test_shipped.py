@@ -10,7 +10,6 @@ from typing import Any
 import pytest
 
 from mjhab.cli.main import parse
-from mjhab.core.errors import UsageError
 from mjhab.evaluation.evaluate import EvalSpec, describe_policy, resolved_config
 from mjhab.evaluation.resolve import full_spec, inspect_policy, resolve_policy
 from mjhab.learning import shipped_kind
@@ -65,11 +64,11 @@ def test_another_robot_than_that_of_the_training_is_refused_first() -> None:
     [
         (
             {"subtask": "close", "target": "kitchen_counter/drawer"},
-            r"Did you mean 'set_table.close.kitchen_counter-dr",
+            "Did you mean 'set_table.close.kitchen_counter-dr",
         ),
         (
             {"subtask": "close"},
-            r"give --target, .*for: set_table.close.kitchen_counter-drawer3",
+            ("give --target, ", "for: set_table.close.kitchen_counter-drawer3"),
         ),
         (
             {"task": "tidy_house"},
@@ -78,9 +77,9 @@ def test_another_robot_than_that_of_the_training_is_refused_first() -> None:
     ],
 )
 def test_where_there_is_none_those_are_named_that_there_are(
-    given: dict[str, Any], said: str
+    given: dict[str, Any], said: str | tuple[str, ...]
 ) -> None:
-    with pytest.raises(UsageError, match=said):
+    with refused(said=said):
         inspect_policy(str(EvalSpec.of("learned", **given).policy))
 
 

@@ -14,7 +14,6 @@ import pytest
 import trimesh
 from trimesh.exchange.gltf import export_glb
 
-from mjhab.core.errors import UsageError
 from mjhab.core.registration.plugins import PluginWarning, load_plugin
 from mjhab.scenes.builtin.objects import builtin_objects
 from mjhab.scenes.builtin.pack import builtin_pack
@@ -82,7 +81,7 @@ def test_without_collision_meshes_the_hulls_of_what_is_seen_collide(
     ("options", "message"),
     [
         ({"mass": 0.0}, "mass of thing must be in the range"),
-        ({"mass": float("nan")}, "mass of .thing. must be a finite number"),
+        ({"mass": float("nan")}, "mass of 'thing' must be a finite number"),
         ({"mass": 0.1, "scale": 100.0}, "the object measures 10 x 10 x 10 m; expected"),
         ({"mass": 0.1, "scale": 0.001}, "Files are read in metres; `scale` converts"),
         ({"mass": 0.1, "name": "a mug"}, "name of the object must be a name"),
@@ -92,7 +91,7 @@ def test_bad_numbers_and_names(
     tmp_path: Path, options: dict[str, object], message: str
 ) -> None:
     file = glb(tmp_path / "a.glb", body=box((0.1, 0.1, 0.1)))
-    with pytest.raises(UsageError, match=message):
+    with refused(said=message):
         object_from_glb(**{"name": "thing", "path": file, **options})  # type: ignore[arg-type]
 
 
@@ -196,7 +195,7 @@ def test_objects_that_cannot_be_made() -> None:
 )
 def test_values_of_another_type_are_refused(changes: dict[str, Any], said: str) -> None:
     kind = dataclasses.replace(builtin_objects()["013_apple"], name="thing")
-    with pytest.raises(UsageError, match=said):
+    with refused(said=said):
         ObjectModel(dataclasses.replace(kind, **changes))
     with refused("meshes", where="object 'thing'"):
         ObjectModel(kind, meshes=[])  # type: ignore[arg-type]

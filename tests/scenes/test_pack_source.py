@@ -35,18 +35,26 @@ def of_homes(count: int) -> Callable[[Any], Pack]:
     [
         (
             broken,
-            r"asset pack 'mine' cannot open mine: its open raised KeyError: 'walls' \(.*line",
+            (
+                "asset pack 'mine' cannot open mine: its open raised KeyError: 'walls' (",
+                "line",
+            ),
         ),
-        (refusing, r"asset pack 'mine' cannot open mine: no walls\."),
-        (lambda request: None, "asset pack 'mine' .* must return a .*Pack, got NoneType"),
+        (refusing, "asset pack 'mine' cannot open mine: no walls."),
+        (
+            lambda request: None,
+            ("asset pack 'mine' ", " must return a ", "Pack, got NoneType"),
+        ),
         (of_homes(0), "asset pack mine: has no homes"),
         (of_homes(2), "asset pack mine: has 2 homes of the name 'builtin_m0_00'"),
     ],
 )
-def test_a_source_that_fails_is_named(open_it: Callable[[Any], Any], told: str) -> None:
+def test_a_source_that_fails_is_named(
+    open_it: Callable[[Any], Any], told: str | tuple[str, ...]
+) -> None:
     mjhab.register_pack(mjhab.PackSource("mine", open_it))
     try:
-        with pytest.raises(UsageError, match=told):
+        with refused(said=told):
             mjhab.open_pack("mine")
     finally:
         PACK_SOURCES.remove("mine")

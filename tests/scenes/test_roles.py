@@ -96,7 +96,7 @@ def test_roles_that_name_nothing_are_refused(
     body = json.loads((tmp_path / "pack.json").read_text())
     body["roles"] = dataclasses.asdict(stated)
     (tmp_path / "pack.json").write_text(json.dumps(body))
-    with pytest.raises(UsageError, match=message):
+    with refused(said=message):
         load_pack(tmp_path)
 
 

@@ -13,7 +13,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mjhab.core.errors import UsageError
 from mjhab.layout.compile import compile_home
 from mjhab.layout.layout import Layout
 from mjhab.scenes.builtin import homes
@@ -430,34 +429,34 @@ def test_unknown_packs_are_refused_with_a_hint(tmp_path: Path) -> None:
     [
         ("format", "other", "'format' must be"),
         ("homes", None, "field 'homes' is missing"),
-        ("props", [{"name": "a"}], r"props\[0\]: field 'geoms' is missing"),
+        ("props", [{"name": "a"}], "props[0]: field 'geoms' is missing"),
         (
             "props",
             [{"name": "a", "geoms": [], "wheels": 4}],
-            r"props\[0\]: unknown field 'wheels'",
+            "props[0]: unknown field 'wheels'",
         ),
         (
             "props",
             [{"name": "a", "geoms": [{"shape": "cone", "size": [1, 1, 1]}]}],
-            r"must be 'box' or .* got 'cone'",
+            ("must be 'box' or ", " got 'cone'"),
         ),
         (
             "props",
             [{"name": "a", "geoms": [{"shape": "box", "size": [1, "b", 1]}]}],
-            r"size\[1\] must be a finite number",
+            "size[1] must be a finite number",
         ),
         (
             "props",
             [{"name": "a", "geoms": [{"shape": "box", "size": [1, 1]}]}],
-            r"size must be a tuple of 3",
+            "size must be a tuple of 3",
         ),
-        ("props", [], "template '.*' is not in the pack"),
+        ("props", [], ("template '", "' is not in the pack")),
         ("meshes", ["nothing"], "array 'nothing/vertices' is missing"),
         ("meshes", [], "names the mesh"),
     ],
 )
 def test_broken_packs_name_the_file_and_the_field(
-    tmp_path: Path, field: str, value: object, message: str
+    tmp_path: Path, field: str, value: object, message: str | tuple[str, ...]
 ) -> None:
     save_pack(_pack(), tmp_path)
     body = json.loads((tmp_path / "pack.json").read_text())
@@ -466,7 +465,7 @@ def test_broken_packs_name_the_file_and_the_field(
     else:
         body[field] = value
     (tmp_path / "pack.json").write_text(json.dumps(body))
-    with pytest.raises(UsageError, match=message) as caught:
+    with refused(said=message) as caught:
         load_pack(tmp_path)
     assert str(tmp_path) in str(caught.value)
 

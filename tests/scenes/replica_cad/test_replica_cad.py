@@ -268,120 +268,120 @@ SCENES = f"configs/scenes/{SCENE}.scene_instance.json"
             OBJECTS,
             '"render_asset"',
             '"rendered_asset"',
-            r"table\.object_config\.json: field 'render_asset' is missing",
+            "table.object_config.json: field 'render_asset' is missing",
         ),
         (
             OBJECTS,
             '"position": [0, 0.5, 0]',
             '"position": [0, 0.5]',
-            r"Top_frl_apartment_table\.position: expected 3",
+            "Top_frl_apartment_table.position: expected 3",
         ),
-        (OBJECTS, "}", "", r"table\.object_config\.json: not valid JSON"),
+        (OBJECTS, "}", "", "table.object_config.json: not valid JSON"),
         (
             SCENES,
             '"translation": [1, 0.4, 2]',
             '"translation": "up"',
-            r"object_instances\[0\]\.translation: expect",
+            "object_instances[0].translation: expect",
         ),
         (
             SCENES,
             '"rotation": [0.6, 0, 0.8, 0]',
             '"rotation": [0, 0, 0, 0]',
-            r"object_instances\[0\]\.rotation: not a",
+            "object_instances[0].rotation: not a",
         ),
         (
             SCENES,
             "frl_apartment_mat",
             "frl_apartment_mouse",
-            r"frl_apartment_mouse\.object_config\.json: cannot",
+            "frl_apartment_mouse.object_config.json: cannot",
         ),
         (
             SCENES,
             '"template_name": "chest"',
             '"template_name": "desk"',
-            r"urdf: has no desk\.urdf, which a scene names",
+            "urdf: has no desk.urdf, which a scene names",
         ),
         (
             SCENES,
             '"template_name": "chest"',
             '"template_nam": "chest"',
-            r"articulated_object_instances\[0\]\.templ",
+            "articulated_object_instances[0].templ",
         ),
         (
             SCENES,
             '"stage_instance"',
             '"stage"',
-            r"staging_07\.scene_instance\.json: field 'stage_instance' is missing",
+            "staging_07.scene_instance.json: field 'stage_instance' is missing",
         ),
         (
             "urdf/chest/chest.urdf",
             'type="fixed"',
             'type="floating"',
-            r"chest\.urdf: joint 'up': unknown type 'float",
+            "chest.urdf: joint 'up': unknown type 'float",
         ),
         (
             SCENES,
             '"template_name": "frl_apartment_mat"',
             '"template_name": "../../mat"',
-            r"\[1\]\.template_name must be a name",
+            "[1].template_name must be a name",
         ),
         (
             SCENES,
             '"template_name": "chest"',
             '"template_name": "/chest"',
-            r"\[0\]\.template_name must be a name",
+            "[0].template_name must be a name",
         ),
         (
             SCENES,
             '"translation": [1, 0.4, 2]',
             '"translation": [1e300, 0.4, 2]',
-            r"\[0\]\.translation: expected 3",
+            "[0].translation: expected 3",
         ),
         (
             SCENES,
             '"translation": [1, 0.4, 2]',
             '"translation": [900, 0.4, 2]',
-            r"floor must be in the range",
+            "floor must be in the range",
         ),
         (
             SCENES,
             '"uniform_scale": 0.5',
             '"uniform_scale": 1e300',
-            r"\[0\]\.uniform_scale: expected 1 numbers",
+            "[0].uniform_scale: expected 1 numbers",
         ),
         (
             SCENES,
             '"uniform_scale": 0.5',
             '"uniform_scale": -1',
-            r"\[0\]\.uniform_scale must be a number above 0, got -1",
+            "[0].uniform_scale must be a number above 0, got -1",
         ),
         (
             SCENES,
             '"uniform_scale": 0.5',
             '"uniform_scale": "big"',
-            r"\[0\]\.uniform_scale: expected 1 numbers",
+            "[0].uniform_scale: expected 1 numbers",
         ),
         (
             OBJECTS,
             '"position": [0, 0.5, 0]',
             '"position": [0, 1e300, 0]',
-            r"frl_apartment_table\.position: expected 3",
+            "frl_apartment_table.position: expected 3",
         ),
         (
             "urdf/chest/chest.urdf",
             "chest.glb",
             "cheese.glb",
-            r"render mesh .*cheese\.glb does not exist",
+            ("render mesh ", "cheese.glb does not exist"),
         ),
     ],
 )
 def test_a_broken_file_is_one_error_that_names_file_and_field(
-    file: str, old: str, new: str, message: str, folder: Path
+    file: str, old: str, new: str, message: str | tuple[str, ...], folder: Path
 ) -> None:
     text = (folder / file).read_text()
     assert old in text
     (folder / file).write_text(text.replace(old, new))
-    with pytest.raises(UsageError, match=message) as error:
+    with refused(said=message) as error:
         open_replica_cad(folder)
     assert "\n" not in str(error.value)
 

@@ -25,6 +25,8 @@ class Example:
 
     about: str
     command: str
+    needs: str = ""
+    """What must be installed beside mjhab, as pip is told it; "" for nothing."""
 
 
 EXAMPLES = {
@@ -52,10 +54,12 @@ EXAMPLES = {
     "policy_server.py": Example(
         "a policy server without mjhab, for `mjhab eval --policy ws://localhost:8000`",
         "python {}/policy_server.py 8000",
+        needs="websockets msgpack",
     ),
     "grpo.py": Example(
         "group-relative policy optimization of a small transformer",
         "python {}/grpo.py --updates 100",
+        needs="torch",
     ),
     "mug": Example(
         "an object from a GLB file",

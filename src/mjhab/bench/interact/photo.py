@@ -18,6 +18,7 @@ from mjhab.bench.interact.scene import (
     with_body,
 )
 from mjhab.bench.specs import PhotoSpec
+from mjhab.core.arithmetic.sums import ordered_sum
 from mjhab.core.files.cache import write_atomic
 from mjhab.core.machine import resident_mb
 from mjhab.core.progress import progress_bar
@@ -107,7 +108,7 @@ def measure_photo(
                 advance()
             point = summarize(runs)
             del point["worlds"], point["device_mb"]
-            busy = sum(run["cpu_s"] for run in runs) / (spec.runs * spec.steps)
+            busy = ordered_sum(run["cpu_s"] for run in runs) / (spec.runs * spec.steps)
             cpu_ms = round(1000.0 * busy, 1)
             points.append({"samples": samples, "cpu_ms": cpu_ms, **point})
     shading = spec.shading(spec.samples[0])

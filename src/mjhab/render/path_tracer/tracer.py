@@ -81,7 +81,7 @@ class PathTracer:
                 slope = float(_slopes(cameras)[w, c])
                 albedo = srgb_to_linear(guides["rgb"][w, c] / 255.0).astype(np.float32)
                 normal = _normals(guides["depth"][w, c], slope, cameras.mat[w, c])
-                light = denoise(light, albedo, normal, quality == "fast")
+                light = denoise(light, albedo, normal, quality != "nice")
             exposure = self._light.exposure if shot.roof else self._light.open
             images[w, c] = srgb_bytes(compressed(exposure * np.asarray(light)))
         return images

@@ -18,7 +18,6 @@ import mjhab
 from mjhab.cli.main import main as command
 
 HOMES = ("builtin_m0_00", "builtin_m1_02", "builtin_m2_05", "builtin_m3_04")
-LIGHTS = ("midday", "evening")
 PICTURE = (640, 400)
 """Width and height of a picture of a home [px]."""
 FILM = (480, 270)
@@ -32,23 +31,16 @@ NEAR_TO_FAR_M = 3.0
 
 
 def make_homes(into: Path, scratch: Path) -> None:
-    """homes.webp: two by two built-in homes, each from a corner of a room. photo.webp: the first of them rasterized,
-    and by the path tracer at midday and in the evening, one below the other."""
+    """homes.webp: two by two built-in homes, each from a corner of a room."""
     drawn = [_home(home, scratch) for home in HOMES]
     rows = [np.concatenate(drawn[at : at + 2], axis=1) for at in (0, 2)]
     Image.fromarray(np.concatenate(rows)).save(into / "homes.webp", quality=QUALITY)
-    traced = [
-        _home(HOMES[0], scratch, "--shader", "path", "--shading.light", light)
-        for light in LIGHTS
-    ]
-    photo = Image.fromarray(np.concatenate([drawn[0], *traced]))
-    photo.save(into / "photo.webp", quality=QUALITY)
 
 
-def _home(home: str, scratch: Path, *options: str) -> np.ndarray:
+def _home(home: str, scratch: Path) -> np.ndarray:
     path = scratch / f"{home}.png"
     size = ("--width", str(PICTURE[0]), "--height", str(PICTURE[1]))
-    shown = ("--view", "inside", *size, *options)
+    shown = ("--view", "inside", *size)
     _run("homes", "render", home, *shown, "--out", str(path))
     return np.asarray(Image.open(path).convert("RGB"))
 

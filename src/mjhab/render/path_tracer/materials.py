@@ -12,24 +12,21 @@ from mjhab.scenes.shapes.colors import srgb_to_linear
 DULL = 0.12
 """Looks of less gloss have no highlight at all, which is faster."""
 
+METALLIC = 0.6
+"""Of metal. What it reflects is lit by few reflections: with 1 sinks and handles are black at midday."""
+
 
 def surface(mi: Any, look: Look) -> dict[str, Any]:
     """The BSDF of a look, as a dictionary of Mitsuba; visible from both sides."""
     color = _color(mi, look)
-    if look.kind == "metal":
-        inner = {
-            "type": "roughconductor",
-            "material": "none",
-            "alpha": _roughness(look.gloss) ** 2,
-            "specular_reflectance": color,
-        }
-    elif look.gloss < DULL:
+    if look.gloss < DULL and look.kind != "metal":
         inner = {"type": "diffuse", "reflectance": color}
     else:
         inner = {
             "type": "principled",
             "base_color": color,
             "roughness": _roughness(look.gloss),
+            "metallic": METALLIC if look.kind == "metal" else 0.0,
             "specular": 0.5,
         }
     return {"type": "twosided", "inner": inner}

@@ -25,6 +25,8 @@ VERSIONS = 2
 """Versions of a home for each largest shift."""
 LARGEST_M = 0.62
 """Furniture whose footprint is longer [m], or does not begin at the floor, stays."""
+TALLEST_M = 1.9
+"""So does what is taller [m]: cupboards."""
 FLOOR_M = 0.05
 """A piece begins at the floor if its lowest point is at most so high [m]; what is lower is a rug."""
 NEAR_M = 0.05
@@ -229,7 +231,10 @@ def _loose(home: Home, pack: Pack) -> list[int]:
         if not any(geom.collide for geom in prop.geoms):
             continue
         low, high = bounds(prop.geoms, pack.meshes)
-        if low[2] + at.pos[2] > FLOOR_M or (high - low)[:2].max() > LARGEST_M:
+        size = high - low
+        if low[2] + at.pos[2] > FLOOR_M or size[2] > TALLEST_M:
+            continue
+        if size[:2].max() > LARGEST_M:
             continue
         area = _area(at, pack)
         on_it = (

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from mjhab.evaluation.evaluate import evaluate
     from mjhab.evaluation.generate import generate
     from mjhab.evaluation.publishing.make import make_dataset
+    from mjhab.evaluation.shots.shoot import shot
     from mjhab.experts import make_expert
     from mjhab.learning.train import train
     from mjhab.robots.controllers.modes import ControlMode, register_control_mode
@@ -72,6 +73,7 @@ __all__ = [
     "register_subtask",
     "register_task",
     "replay",
+    "shot",
     "train",
 ]
 
@@ -92,6 +94,7 @@ _LAZY = {
     "label": "mjhab.evaluation.datasets.label",
     "make_dataset": "mjhab.evaluation.publishing.make",
     "replay": "mjhab.evaluation.datasets.replay",
+    "shot": "mjhab.evaluation.shots.shoot",
     "make": "mjhab.envs",
     "make_train": "mjhab.envs",
     "ControlMode": "mjhab.robots.controllers.modes",

@@ -11,7 +11,7 @@ import trimesh
 
 from mjhab.core.rotations import mat_from_quat
 from mjhab.layout.layout import Layout
-from mjhab.render.home_scene import build_render_scene
+from mjhab.render.layout_scene import build_render_scene
 from mjhab.render.models import MAX_TEXTURE_SIDE, DrawnHome, Model, home_models
 from mjhab.render.render_scene import RenderScene
 from mjhab.robots.fetch.robot import ROBOT

@@ -251,6 +251,12 @@ COMMANDS: tuple[Command, ...] = (
         "evaluation.datasets.specs:ReplaySpec",
     ),
     Command(
+        "shot",
+        "a picture of an episode: still, contact sheet or turntable",
+        "datasets.shot:run_shot",
+        "evaluation.shots.spec:ShotSpec",
+    ),
+    Command(
         "label",
         "label recorded episodes again by the present rules",
         "datasets.data:run_relabelling",

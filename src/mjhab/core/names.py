@@ -8,7 +8,7 @@ from __future__ import annotations
 import os
 import re
 from collections import Counter
-from collections.abc import Collection, Iterable
+from collections.abc import Callable, Collection, Iterable
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +23,15 @@ _EXPECTED_NAME = (
     "'..' and no absolute path"
 )
 _COPY = "_:"
+
+
+def shortened(text: str, length: Callable[[str], float], most: float) -> str:
+    """A text, cut off with three dots if its ``length`` is above ``most``."""
+    if length(text) <= most:
+        return text
+    while text and length(text + "...") > most:
+        text = text[:-1]
+    return text.rstrip() + "..."
 
 
 def copy_name(kind: str, number: int) -> str:

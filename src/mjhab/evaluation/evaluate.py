@@ -20,6 +20,7 @@ from mjhab.config.env import EnvConfig
 from mjhab.config.env_spec import env_names
 from mjhab.core.errors import unknown_name, wrong_value
 from mjhab.core.version import __version__
+from mjhab.evaluation.filming import FilmCrew
 from mjhab.evaluation.global_random import SeededGlobals
 from mjhab.evaluation.own_policy import OwnPolicy
 from mjhab.evaluation.resolve import (
@@ -171,7 +172,8 @@ def _run(
 ) -> Run:
     started = time.perf_counter()
     earlier = folder.earlier_seconds()
-    films = FilmSink(range(spec.films), folder.film_path, _open_film)
+    crew = FilmCrew(*spec.film_px)
+    films = FilmSink(range(spec.films), folder.film_path, _open_film, crew=crew)
     interrupted = False
     try:
         rollout(

@@ -18,6 +18,7 @@ from mjhab.evaluation.resolve import check_style, full_spec
 from mjhab.robots.registry import robot_named
 from mjhab.robots.robot import Robot
 from mjhab.rollout.policy import Policy
+from mjhab.scenes.shading import PATH, RASTER
 from mjhab.serving.address import Address, with_options
 
 if TYPE_CHECKING:
@@ -33,6 +34,10 @@ PolicyName = Annotated[
 
 
 MAX_EPISODES = 100_000_000
+FILM_SIZES = {RASTER: (1280, 720), PATH: (320, 180)}
+"""Default width and height of films by shader [px]."""
+SMALL_FILM = (480, 270)
+"""Width and height of films that must not take long: of the demonstration and of training [px]."""
 OfEnv = Annotated[
     Mapping[str, Any],
     OptionsOf(EnvConfig, apart=RUN_BY_EVALUATION, defaults={"num_envs": 8}),
@@ -84,6 +89,12 @@ class EvalSpec(EnvSpec):
     """With a served policy: how it is asked, fields of `serving.address.Address`."""
     films: Annotated[int, Bound(most=10_000)] = 4
     """Film the first N episodes; 0 for none."""
+    film_size: Annotated[
+        tuple[int, int] | None,
+        Flag(metavar="WIDTH HEIGHT", shown="default: 1280 720, with shader path 320 180"),
+        Bound(16, 4096),
+    ] = None
+    """Width and height of films [px]. Of a whole task in 1280 x 720, drawing takes about as long as acting."""
     out: Annotated[
         Path | None,
         Flag(
@@ -98,6 +109,11 @@ class EvalSpec(EnvSpec):
     """Start the run in the folder again; deletes the files of the earlier run and nothing else."""
     alone: Annotated[tuple[Path, ...], Flag(metavar="FOLDER ...")] = ()
     """Folders of runs of single subtasks, whose success rates give the upper bound of progressive completion."""
+
+    @property
+    def film_px(self) -> tuple[int, int]:
+        """Width and height of films [px]."""
+        return self.film_size or FILM_SIZES[self.asked.shader]
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -99,6 +99,15 @@ def focus(view: WorldView) -> np.ndarray | None:
     # The head has to rest for success, and it takes some steps to get there.
     if work and all(view.signal(name) for name in work):
         return None
+    return worked_on(view)
+
+
+def worked_on(view: WorldView) -> np.ndarray | None:
+    """Handle, object or goal position (3,) of the active subtask in the world [m]; None when no subtask is active."""
+    subtask = view.subtask
+    if subtask is None:
+        return None
+    spec = spec_of(subtask.kind)
     if spec.jointed and subtask.link in view.home.links:
         return view.home.links[subtask.link].handle_pose(view.link_q(subtask.link))[0]
     if (

@@ -1,48 +1,38 @@
-"""The render scene of a layout and images of it: robot cameras, the follow camera of films, views of a home."""
+"""Images of the worlds of a layout: what the robot's cameras see, and pictures for people from any place."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
-import mujoco
 import numpy as np
 
-from mjhab.core.boxes import sphere_box_distance
-from mjhab.core.errors import unknown_name
 from mjhab.core.joints import BASE
 from mjhab.core.rotations import mat_from_quat
-from mjhab.layout.layout import Layout
-from mjhab.render.build_scene import SceneBuilder
-from mjhab.render.follow_camera import FollowCamera
-from mjhab.render.primitives import box_mesh
+from mjhab.render.layout_scene import build_render_scene
+from mjhab.render.pictures.follow_camera import FollowCamera
 from mjhab.render.raster.arrays import DIVERGED_BEYOND_M
-from mjhab.render.raster.rasterizer import Cameras, Rasterizer, look_at
-from mjhab.render.render_scene import RenderScene
-from mjhab.scenes.builtin.materials import MATERIALS
-from mjhab.scenes.freespace import free_map
+from mjhab.render.raster.rasterizer import (
+    FAST,
+    FILM,
+    Cameras,
+    QualityName,
+    Rasterizer,
+    look_at,
+)
 from mjhab.scenes.shading import Shading
-from mjhab.scenes.spec import IDENTITY, PARKED, Geom, Home, Placement
 from mjhab.sim.mujoco.cpu import CpuSimulator
-from mjhab.sim.mujoco.settle import parked_robot_qpos
 from mjhab.sim.protocol import SimState
 
 if TYPE_CHECKING:
     from mjhab.render.path_tracer.tracer import PathTracer
 
-VIEWS = ("top", "inside")
 ROBOT_LEVEL_ERROR = 0.4
 """Allowed error of levels of detail [px] in images of the robot's cameras. In `mjhab/PickSubtaskTrain-v1` it changes
 the depth of 0.13 % of the pixels at 128 x 128, and of 0.53 % at 32 x 32, by more than 1 cm; the mean change is 0.6 mm
 and 1.4 mm."""
-FLOOR_HALF_THICKNESS = 0.02
-"""Half the thickness of drawn floors [m]."""
 FOLLOW_FOVY = 0.85
 """Vertical field of view of the follow camera [rad]."""
-HOME_FOVY = 0.8
-"""Vertical field of view of the "top" view [rad]."""
-INSIDE_HEIGHT = 2.0
-"""Height of the camera of the "inside" view [m]."""
 
 
 class BodyPoses(Protocol):
@@ -104,97 +94,6 @@ class _Mounts(NamedTuple):
     fovy: np.ndarray
 
 
-def build_render_scene(layout: Layout, model: mujoco.MjModel) -> RenderScene:
-    """The render scene of all homes of a layout; layouts of one pack, roster and robot share it.
-
-    Args:
-        layout: robot, homes, furniture and objects.
-        model: the compiled model of any home of the layout; gives the body ids, which all homes share.
-    """
-    # It takes a second for the built-in homes, and evaluations and tests open many environments of them.
-    key = ("render scene", layout.roster, layout.robot)
-    return layout.pack.derived.get(key, lambda: _build(layout, model))
-
-
-def _build(layout: Layout, model: mujoco.MjModel) -> RenderScene:
-    homes = layout.pack.homes
-    builder = SceneBuilder(len(homes), {**MATERIALS, **layout.robot.materials})
-    meshes = layout.pack.meshes
-    _add_shell(builder, layout)
-    for i, slot in enumerate(layout.prop_slots):
-        at = [layout.slot_placements(home)[i] for home in homes]
-        _add_standing(
-            builder, layout.pack.props[slot.template].geoms, at, slot.name, meshes
-        )
-    for articulation in layout.articulations:
-        at = [layout.articulation_placement(home, articulation.name) for home in homes]
-        _add_standing(builder, articulation.geoms, at, articulation.name, meshes)
-        for link in articulation.links:
-            name = f"{articulation.name}/{link.name}"
-            for geom in link.geoms:
-                if geom.visual:
-                    builder.add_body_geom(geom, model.body(name).id, name, meshes)
-    for name, kind in zip(layout.object_names, layout.objects, strict=True):
-        for geom in kind.visuals:
-            builder.add_body_geom(geom, model.body(name).id, name, meshes)
-    for k, (link, mesh, material) in enumerate(layout.robot.visuals()):
-        mesh_id = builder.add_mesh(("robot", k), mesh)
-        look = builder.material(material)
-        builder.add_body_instance(
-            mesh_id, model.body(link).id, material=look, seg=f"robot/{link}"
-        )
-    for h, home in enumerate(homes):
-        for light in home.lights:
-            builder.add_light(h, light)
-    return builder.build()
-
-
-def _add_shell(builder: SceneBuilder, layout: Layout) -> None:
-    """Add floors, floor patches and walls as unit boxes with a pose, scale and material per home."""
-    homes = layout.pack.homes
-    unit = builder.add_mesh("unit box", box_mesh((1.0, 1.0, 1.0)))
-    floors = []
-    for home in homes:
-        x0, y0, x1, y1 = home.floor
-        size = ((x1 - x0) / 2, (y1 - y0) / 2, FLOOR_HALF_THICKNESS)
-        center = ((x0 + x1) / 2, (y0 + y1) / 2, -FLOOR_HALF_THICKNESS)
-        floors.append(Geom("box", size, center, material=home.floor_material))
-    _add_boxes(builder, unit, [(geom,) for geom in floors], "floor")
-    _add_boxes(builder, unit, [home.floor_patches for home in homes], "floor")
-    _add_boxes(builder, unit, [home.walls for home in homes], "wall")
-
-
-def _add_boxes(
-    builder: SceneBuilder, unit: int, boxes: Sequence[tuple[Geom, ...]], seg: str
-) -> None:
-    absent = Geom("box", (0.0, 0.0, 0.0), PARKED)
-    for k in range(max(len(row) for row in boxes)):
-        row = [b[k] if k < len(b) else absent for b in boxes]
-        builder.add_world_instance(
-            unit,
-            np.array([g.pos for g in row]),
-            np.array([g.quat for g in row]),
-            np.array([g.size for g in row]),
-            [builder.material(g.material) for g in row],
-            seg,
-        )
-
-
-def _add_standing(
-    builder: SceneBuilder,
-    geoms: tuple[Geom, ...],
-    at: Sequence[Placement | None],
-    seg: str,
-    meshes: dict[str, object],
-) -> None:
-    pos = np.array([PARKED if p is None else p.pos for p in at])
-    quat = np.array([IDENTITY if p is None else p.rotation for p in at])
-    present = np.array([p is not None for p in at])
-    for geom in geoms:
-        if geom.visual:
-            builder.add_world_geom(geom, pos, quat, seg, present, meshes)
-
-
 def is_sane(body_pos: np.ndarray, body_mat: np.ndarray) -> np.ndarray:
     """(W,) bool: worlds whose physics has not diverged, for poses (W, B, 3) and (W, B, 3, 3) of their bodies.
 
@@ -235,13 +134,22 @@ class HomeRenderer:
         self.scene = build_render_scene(sim.layout, self._model)
         self.rasterizer = Rasterizer(self.scene, num_threads)
         self._home_index = {home.name: i for i, home in enumerate(sim.layout.pack.homes)}
-        self._follow = FollowCamera(sim.model)
+        self.follow = FollowCamera(sim.model)
+        self._dressed: Rasterizer | None = None
         self._mounts: dict[tuple[str, ...], _Mounts] = {}
         self.tracer: PathTracer | None = None
         if shading is not None:
             from mjhab.render.path_tracer.tracer import PathTracer  # of the extra photo
 
             self.tracer = PathTracer(self.scene, shading)
+
+    @property
+    def dressed(self) -> Rasterizer:
+        """Draws pictures for people: homes with ceilings (`layout_scene.build_render_scene`); made on first use."""
+        if self._dressed is None:
+            scene = build_render_scene(self.layout, self._model, dressed=True)
+            self._dressed = Rasterizer(scene, self.rasterizer.num_threads)
+        return self._dressed
 
     def render(
         self,
@@ -250,10 +158,13 @@ class HomeRenderer:
         body_mat: np.ndarray,
         cameras: Cameras,
         outputs: Sequence[str],
-        quality: Literal["fast", "nice"] = "fast",
+        quality: QualityName = FAST,
         looks: np.ndarray | None = None,
     ) -> dict[str, np.ndarray]:
-        """As `Rasterizer.render`; colours are those of the path tracer if there is one, without ``looks``."""
+        """As `Rasterizer.render`; colours are those of the path tracer if there is one, without ``looks``.
+
+        In any quality but "fast", which observations have, homes are `dressed`.
+        """
         tracer = self.tracer if "rgb" in outputs else None
         drawn = set(outputs)
         if tracer is not None:
@@ -262,7 +173,8 @@ class HomeRenderer:
             looks = None
         images = {}
         if drawn:
-            images = self.rasterizer.render(
+            rasterizer = self.rasterizer if quality == FAST else self.dressed
+            images = rasterizer.render(
                 home, body_pos, body_mat, cameras, sorted(drawn), quality, looks=looks
             )
         if tracer is not None:
@@ -270,6 +182,22 @@ class HomeRenderer:
                 home, body_pos, body_mat, cameras, images, quality
             )
         return {name: images[name] for name in outputs}
+
+    def picture(
+        self,
+        state: BodyPoses,
+        world: int,
+        home: str,
+        cameras: Cameras,
+        quality: QualityName = FILM,
+    ) -> np.ndarray:
+        """Colours (C, height, width, 3) uint8 sRGB of one world for people; zeros where its physics has diverged."""
+        pos, mat = state.body_pos[[world]], state.body_mat[[world]]
+        if not is_sane(pos, mat)[0]:
+            shape = (np.shape(cameras.pos)[1], cameras.height, cameras.width, 3)
+            return np.zeros(shape, np.uint8)
+        index = self.home_numbers([home])
+        return self.render(index, pos, mat, cameras, ("rgb",), quality)["rgb"][0]
 
     def robot_views(
         self,
@@ -400,7 +328,7 @@ class HomeRenderer:
             return np.zeros((len(sane), height, width, 3), np.uint8)
         rows = [world for _, world in drawn]
         looks = [
-            self._follow.look(home, state.robot_q[world, BASE]) for home, world in drawn
+            self.follow.look(home, state.robot_q[world, BASE]) for home, world in drawn
         ]
         images = self.render(
             self.home_numbers([home for home, _ in drawn]),
@@ -416,93 +344,6 @@ class HomeRenderer:
                 height,
             ),
             ("rgb",),
+            FILM,
         )
         return _placed(images["rgb"][:, 0], sane)
-
-    def home_view(self, home: str, view: str, width: int, height: int) -> np.ndarray:
-        """Render a furnished home without objects, the robot in its parked pose.
-
-        Args:
-            home: name of the home.
-            view: "top" (the whole floor from above) or "inside" (across the home, at a height of `INSIDE_HEIGHT`).
-            width, height: of the image [px].
-
-        Returns:
-            (height, width, 3) uint8 sRGB.
-
-        Raises:
-            UsageError: unknown view or home.
-        """
-        if view not in VIEWS:
-            raise unknown_name("view", view, VIEWS)
-        if home not in self._home_index:
-            raise unknown_name("home", home, self._home_index)
-        spec = self.layout.pack.homes[self._home_index[home]]
-        eye, target, fovy = (
-            self._from_top(spec, width, height)
-            if view == "top"
-            else self._from_inside(spec)
-        )
-        model = self._sim.model(home)
-        data = mujoco.MjData(model)
-        data.qpos[self._sim.addresses.robot_q] = parked_robot_qpos(self.layout.robot)
-        mujoco.mj_kinematics(model, data)
-        mat = look_at(eye.tolist(), target.tolist())
-        images = self.render(
-            np.array([self._home_index[home]]),
-            data.xpos[None],
-            data.xmat.reshape(1, -1, 3, 3),
-            Cameras(eye[None, None], mat[None, None], fovy, width, height),
-            ("rgb",),
-            "nice",
-        )
-        return images["rgb"][0, 0]
-
-    @staticmethod
-    def _from_top(
-        home: Home, width: int, height: int
-    ) -> tuple[np.ndarray, np.ndarray, float]:
-        """Camera position (3,), target (3,) [m] and vertical field of view [rad] that show a whole floor.
-
-        The image is rotated by 90 deg if that makes the long side of the floor the long side of the image.
-        """
-        x0, y0, x1, y1 = home.floor
-        size = np.array([x1 - x0, y1 - y0])
-        up = np.array([0.0, 1.0])
-        if (size[1] > size[0]) != (height > width):
-            size = size[::-1]
-            up = np.array([1.0, 0.0])
-        fit = max(size[1], size[0] * height / width) / 2 * 1.15
-        center = np.array([(x0 + x1) / 2, (y0 + y1) / 2, 0.0])
-        return (
-            center + np.append(-0.18 * fit * up, 2.6 + fit / np.tan(HOME_FOVY / 2)),
-            center,
-            HOME_FOVY,
-        )
-
-    def _from_inside(self, home: Home) -> tuple[np.ndarray, np.ndarray, float]:
-        """Camera position (3,), target (3,) [m] and vertical field of view [rad] of the view from inside.
-
-        Of free floor cells far from the middle, the one that sees most of the other cells is taken.
-        """
-        fmap = free_map(home, self.layout.pack, cell=0.25)
-        floor = fmap.to_xy(np.argwhere(fmap.navigable(0.2)))
-        middle = floor.mean(axis=0)
-        places = floor[
-            np.argsort(np.linalg.norm(floor - middle, axis=1))[-max(1, len(floor) // 3) :]
-        ]
-        places = places[:: max(1, len(places) // 40)]
-        share = np.linspace(0.02, 0.8, 30)[:, None]
-        seen = []
-        for xy in places:
-            eye = np.append(xy, INSIDE_HEIGHT)
-            spots = np.column_stack([floor[::7], np.full(len(floor[::7]), 0.5)])
-            rays = (eye + share[:, None] * (spots - eye)).reshape(-1, 3)
-            free = (
-                (sphere_box_distance(rays, self._follow.tall(home.name)) > 0.02)
-                .all(axis=1)
-                .reshape(len(share), -1)
-            )
-            seen.append(int(free.all(axis=0).sum()))
-        eye = np.append(places[int(np.argmax(seen))], INSIDE_HEIGHT)
-        return eye, np.append(middle, 0.5), 1.2

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
+from mjhab.core.names import shortened
 from mjhab.reports.pages import base64_text, render_page
 
 if TYPE_CHECKING:
@@ -61,7 +62,8 @@ def save_png(path: Path, title: str, tiles: Sequence[Tile]) -> None:
         below = y + height + 0.15 * size
         draw.text((x, below), tile.name, INK, font)
         draw.text((x + width - font.getlength(tile.group), below), tile.group, PALE, font)
-        draw.text((x, below + 1.25 * size), _fit(tile.note, small, width), ALERT, small)
+        note = shortened(tile.note, small.getlength, width)
+        draw.text((x, below + 1.25 * size), note, ALERT, small)
     sheet.save(path, optimize=True)
 
 
@@ -77,17 +79,6 @@ def _cells(tiles: Sequence[Tile], columns: int) -> list[tuple[int, int]]:
         cells.append((row, column))
         column += 1
     return cells
-
-
-def _fit(
-    text: str, font: ImageFont.FreeTypeFont | ImageFont.ImageFont, width: float
-) -> str:
-    """The text, shortened to fit into ``width`` pixels."""
-    if font.getlength(text) <= width:
-        return text
-    while text and font.getlength(text + "...") > width:
-        text = text[:-1]
-    return text.rstrip() + "..."
 
 
 def save_html(path: Path, title: str, tiles: Sequence[Tile]) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -33,8 +33,43 @@ class Film(Protocol):
         ...
 
 
+class Crew(Protocol):
+    """Shoots the frames of films; it may remember what it shot before."""
+
+    def begin(self, world: int) -> None:
+        """A new film begins in a world."""
+        ...
+
+    def shoot(
+        self, env: Any, worlds: Sequence[int], info: Mapping[str, Any]
+    ) -> Sequence[np.ndarray]:
+        """Frames (n, H, W, 3) uint8 of the present states of n worlds."""
+        ...
+
+
+class HumanView:
+    """The crew that shows what ``env.render_worlds`` shows.
+
+    Args:
+        width, height: of the frames [px].
+    """
+
+    def __init__(self, width: int = 480, height: int = 360) -> None:
+        self._size = (width, height)
+
+    def begin(self, world: int) -> None:
+        """It remembers nothing."""
+
+    def shoot(
+        self, env: RolloutEnv, worlds: Sequence[int], info: Mapping[str, Any]
+    ) -> Sequence[np.ndarray]:
+        """Frames (n, H, W, 3) uint8."""
+        width, height = self._size
+        return [*env.render_worlds(worlds, width=width, height=height)]
+
+
 class FilmSink(Sink[RolloutEnv]):
-    """Films the episodes in ``indices`` through ``env.render_worlds``.
+    """Films the episodes in ``indices``.
 
     A renderer or encoder that fails stops the films, not the evaluation: ``problem`` then says why.
 
@@ -42,8 +77,8 @@ class FilmSink(Sink[RolloutEnv]):
         indices: episodes to film.
         path_of: where the film of an episode goes.
         open_film: opens a film file (from ``render.film``, which this package may not import), given path and frames/s.
+        crew: shoots the frames; None for `HumanView`.
         every: control steps between frames.
-        width, height: of the frames [pixels].
     """
 
     def __init__(
@@ -52,16 +87,15 @@ class FilmSink(Sink[RolloutEnv]):
         path_of: Callable[[int], Path],
         open_film: Callable[[Path, int], Film],
         *,
+        crew: Crew | None = None,
         every: int = FILM_EVERY,
-        width: int = 480,
-        height: int = 360,
     ) -> None:
         self.problem: str | None = None
         self._indices = frozenset(indices)
         self._path_of = path_of
         self._open_film = open_film
         self._every = every
-        self._size = (width, height)
+        self._crew = crew or HumanView()
         self._films: dict[int, Film] = {}
 
     def on_reset(
@@ -73,12 +107,14 @@ class FilmSink(Sink[RolloutEnv]):
             index = int(info["episode_spec"][world]["index"])
             if index in self._indices and self.problem is None:
                 self._films[int(world)] = self._open_film(self._path_of(index), FILM_FPS)
+                self._crew.begin(int(world))
                 begun.append(int(world))
-        self._shoot(env, begun)
+        self._shoot(env, begun, info)
 
     def on_step(self, env: RolloutEnv, step: StepView) -> None:
         """Shoot every ``every``-th step of the filmed worlds."""
-        self._shoot(env, [w for w in self._films if step.steps[w] % self._every == 0])
+        due = [w for w in self._films if step.steps[w] % self._every == 0]
+        self._shoot(env, due, step.info)
 
     def on_episode_end(self, env: RolloutEnv, world: int, record: EpisodeRecord) -> None:
         """Finish the film."""
@@ -95,12 +131,12 @@ class FilmSink(Sink[RolloutEnv]):
             film.abort()
         self._films.clear()
 
-    def _shoot(self, env: RolloutEnv, worlds: list[int]) -> None:
+    def _shoot(self, env: RolloutEnv, worlds: list[int], info: Mapping[str, Any]) -> None:
         """Append a frame to the films of some worlds, which are drawn together."""
         if not worlds:
             return
         try:
-            frames = env.render_worlds(worlds, width=self._size[0], height=self._size[1])
+            frames = self._crew.shoot(env, worlds, info)
             for world, frame in zip(worlds, frames, strict=True):
                 self._films[world].add(frame)
         except Exception as error:

@@ -142,7 +142,7 @@ def painted(monkeypatch: pytest.MonkeyPatch) -> list[tuple[Any, ...]]:
             np.full((height, width, 3), 40 * k, np.uint8) for k, _ in enumerate(homes)
         )
 
-    monkeypatch.setattr("mjhab.render.views.render_homes", draw)
+    monkeypatch.setattr("mjhab.render.pictures.home_views.render_homes", draw)
     return asked
 
 
@@ -216,8 +216,9 @@ def test_a_picture_that_cannot_be_written_leaves_the_one_before(
 ) -> None:
     use(monkeypatch, pack_of((0, 0)))
     image = np.zeros((16, 16, 3), np.uint8)
-    monkeypatch.setattr("mjhab.render.views.render_home", lambda *_: image)
-    monkeypatch.setattr("mjhab.render.views.render_homes", lambda *_: iter([image]))
+    monkeypatch.setattr(
+        "mjhab.render.pictures.home_views.render_homes", lambda *_: iter([image])
+    )
 
     def full(self: Any, path: Path, *_: Any, **options: Any) -> None:
         path.write_bytes(b"half")

@@ -13,7 +13,8 @@ import pytest
 from torch import Tensor
 
 from mjhab.layout.layout import Layout
-from mjhab.render.home_scene import HomeRenderer, build_render_scene
+from mjhab.render.home_scene import HomeRenderer
+from mjhab.render.layout_scene import build_render_scene
 from mjhab.robots.fetch.model import REST_QPOS
 from mjhab.scenes.freespace import free_map
 from mjhab.scenes.packs import open_pack

@@ -32,7 +32,7 @@ from mjhab.core.typed.bounds import Output
 from mjhab.core.typed.flags import Flag
 from mjhab.core.typed.options import take_options
 from mjhab.evaluation.evaluate import EvaluationInterrupted, Run, run_evaluation
-from mjhab.evaluation.specs import EvalSpec
+from mjhab.evaluation.specs import SMALL_FILM, EvalSpec
 from mjhab.reports.metrics import SubtaskRow, rows_of
 from mjhab.reports.words import NOT_JUDGED, duration, newtons
 from mjhab.rollout.policy import RolloutEnv
@@ -79,7 +79,13 @@ class DemoSpec:
 def run_demo(spec: DemoSpec, json: bool) -> int:
     """Run the demonstration; returns the exit code of `run_eval`."""
     evaluation = EvalSpec.of(
-        task="set_table", episodes=4, worlds=4, films=4, out=spec.out, overwrite=True
+        task="set_table",
+        episodes=4,
+        worlds=4,
+        films=4,
+        film_size=SMALL_FILM,
+        out=spec.out,
+        overwrite=True,
     )
     code = run_eval(evaluation, json)
     if code == 0 and not json:

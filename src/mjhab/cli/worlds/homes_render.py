@@ -16,6 +16,7 @@ from mjhab.core.files.cache import write_atomic
 from mjhab.core.progress import progress_bar
 from mjhab.core.typed.bounds import Bound, Output
 from mjhab.core.typed.flags import Flag
+from mjhab.scenes.free_camera import FOV_DEG, Place, free_camera
 from mjhab.scenes.shading import RASTER, Shading, shading_of
 
 PNG = ".png"
@@ -50,8 +51,14 @@ class HomesRenderSpec(EnvSpec):
     """Draw every home of the pack into one sheet; --width and --height are then those of one picture."""
     out: Annotated[Path, Flag(metavar="FILE.png"), Output()] = Path("home.png")
     """The PNG to write; with --all also an HTML page that needs no network."""
-    view: Annotated[str, Flag(metavar="top|inside")] = "top"
-    """top (plan from above) or inside (from a corner of a room)."""
+    view: Annotated[str, Flag(metavar="top|plan|inside")] = "top"
+    """top (from above), plan (from straight above, without perspective) or inside (from a corner of a room)."""
+    camera: Place = None
+    """Where the camera stands, as x,y,z in the world [m]; with a minus at the front --camera=-1,2,1.5."""
+    look_at: Place = None
+    """What the camera looks at, as x,y,z [m]; with --camera."""
+    fov: Annotated[float, Bound(1, 150)] = FOV_DEG
+    """Vertical field of view of --camera [degrees]."""
     width: Side = None
     """Width of the picture [px]."""
     height: Side = None
@@ -66,6 +73,13 @@ class HomesRenderSpec(EnvSpec):
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        free_camera(self.camera, self.look_at, self.fov)
+        if self.camera is not None and self.look_at is None:
+            raise missing_field(
+                "look_at", advice="Say what the camera looks at: --look-at x,y,z"
+            )
+        if self.camera is not None and self.all:
+            raise wrong_value("camera", self.camera, "left out with --all")
         _check_out(self.out, (PNG, HTML) if self.all else (PNG,))
         if self.all and self.name:
             raise wrong_value("name", self.name, "left out with --all")
@@ -80,6 +94,14 @@ class HomesRenderSpec(EnvSpec):
                 "name",
                 advice="Name a home (see: mjhab homes list), or draw all of them with --all.",
             )
+
+    @property
+    def viewpoint(self) -> Any:
+        """The name of a view, or the place of the camera."""
+        from mjhab.render.pictures.viewpoint import Viewpoint
+
+        free = free_camera(self.camera, self.look_at, self.fov)
+        return self.view if free is None else Viewpoint(*free)
 
     @property
     def shading(self) -> Shading | None:
@@ -115,12 +137,13 @@ def render_one(spec: HomesRenderSpec, json: bool) -> int:
     home = find_home(spec.asked.assets, spec.name)
     from PIL import Image
 
-    from mjhab.render.views import render_home
+    from mjhab.render.pictures.home_views import render_homes
     from mjhab.scenes.packs import open_pack
 
     begun = time.perf_counter()
-    image = render_home(
-        open_pack(spec.asked.assets), home.name, spec.view, *spec.size, spec.shading
+    pack: Any = open_pack(spec.asked.assets)
+    image = next(
+        iter(render_homes(pack, [home.name], spec.viewpoint, *spec.size, spec.shading))
     )
     seconds = round(time.perf_counter() - begun, 2)
     write_atomic(spec.out, Image.fromarray(image).save)
@@ -141,7 +164,7 @@ def render_one(spec: HomesRenderSpec, json: bool) -> int:
 
 def render_sheet(spec: HomesRenderSpec, json: bool) -> int:
     """Draw all homes of a pack into one PNG or HTML page."""
-    from mjhab.render.views import render_homes
+    from mjhab.render.pictures.home_views import render_homes
     from mjhab.reports.contact_sheet import Tile, save_html, save_png
     from mjhab.scenes.packs import open_pack
 
@@ -150,7 +173,7 @@ def render_sheet(spec: HomesRenderSpec, json: bool) -> int:
     tiles = []
     with progress_bar("drawing homes", len(homes)) as advance:
         names = [home.name for home in homes]
-        images = render_homes(pack, names, spec.view, *spec.size, spec.shading)
+        images = render_homes(pack, names, spec.viewpoint, *spec.size, spec.shading)
         for home, image in zip(homes, images, strict=True):
             tiles.append(
                 Tile(home.name, f"{home.split}, layout {home.macro}", home.note, image)

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from mjhab.evaluation.evaluate import EvalSpec, Run, run_evaluation
+from mjhab.evaluation.specs import SMALL_FILM
 from mjhab.learning.runs.specs import Resources, Scene
 from mjhab.reports.compared.trainings import FINAL, ON_THE_WAY
 from mjhab.reports.metrics import mean, wilson
@@ -160,6 +161,7 @@ class Evaluations:
             seed=EVALUATION_SEED + self.seed,
             env=scene.apart_from_profile(),
             films=films,
+            film_size=SMALL_FILM,
             out=out,
             overwrite=True,
         )

@@ -22,8 +22,13 @@ HEAD_LIGHT = 0.10
 """Light of a lamp at the camera on a surface that faces it."""
 LAMP_GAIN = 0.85
 """Exposure of lamps, chosen so that a white floor 2.4 m below a lamp of intensity 1 is bright but not clipped."""
-UNMAPPED = 0.65
-"""Visibility (0..1) of a lamp that is assumed at points outside of its shadow map (upper walls)."""
+MAP_EDGE = 4.6
+"""Largest slope (horizontal by vertical distance from the lamp) looked up in a shadow map, whose edge is at 4.9. Points
+above this cone (upper walls, ceilings) are taken for points on it, so that no shadow and no light ends in a
+horizontal band."""
+TALL_GAP = 0.8
+"""What stands this far in front of such a point [m] is a wall and casts its shadow up to the ceiling; the shadows of
+what is near, such as cups on a shelf before the wall, fade on the way up to the height of the lamp."""
 DULL = 0.05
 """Surfaces up to this gloss have no highlights."""
 
@@ -70,22 +75,19 @@ def _visible(shadow, k, x, y, z, nx, ny, nz):
     Filters 4 x 4 texels of the shadow map (percentage-closer filtering). Each texel is compared with the plane of the
     surface, whose normal is (nx, ny, nz), to avoid self-shadowing.
     """
-    depth = -z
     size = shadow.shape[1]
-    far = SHADOW_SLOPE * np.sqrt(x * x + y * y + z * z)
-    if depth <= 0.02 or depth <= far:
-        return UNMAPPED
+    depth = max(-z, np.sqrt(x * x + y * y) / MAP_EDGE)
+    if depth <= 0.02:
+        return 1.0
     inv_focal = np.sqrt(1.0 - SHADOW_SLOPE * SHADOW_SLOPE) / (0.5 * size * SHADOW_SLOPE)
     w = 1.0 / depth
     u = 0.5 * size + x * w / inv_focal - 0.5
     v = 0.5 * size - y * w / inv_focal - 0.5
-    if u < 1.0 or v < 1.0 or u > size - 3.0 or v > size - 3.0:
-        return UNMAPPED
     i = int(v)
     j = int(u)
     fy = v - i
     fx = u - j
-    plane = min(x * nx + y * ny + z * nz, -0.02 * depth)
+    plane = min(x * nx + y * ny - depth * nz, -0.02 * depth)
     steep = 0.5 * w
     gx = min(max(nx / plane * inv_focal, -steep), steep)
     gy = min(max(-ny / plane * inv_focal, -steep), steep)
@@ -98,8 +100,12 @@ def _visible(shadow, k, x, y, z, nx, ny, nz):
             if shadow[k, i + r - 1, j + c - 1] < limit + gx * c + gy * r:
                 lit += wx * wy
     lit *= 1.0 / 9.0
-    edge = min((depth / far - 1.0) * 2.0, 1.0)
-    return UNMAPPED + (lit - UNMAPPED) * edge
+    level = max(-z, 0.0) / depth
+    if level < 1.0 and lit < 1.0:
+        above = 1.0 - level * level * level
+        gap = np.sqrt(x * x + y * y) * (1.0 - w / max(shadow[k, i + 1, j + 1], w))
+        lit += (1.0 - lit) * above * (1.0 - min(gap / TALL_GAP, 1.0))
+    return lit
 
 
 @color_inline

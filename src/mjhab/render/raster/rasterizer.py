@@ -36,10 +36,34 @@ SHADOW_SIZE = 512
 """Side of a shadow map [texels]."""
 SHADOW_MAPS_KEPT = 64
 """Number of cached shadow maps of static furniture (1 MiB each)."""
-FAST_STRIDE = 8
-"""In quality "fast", light is computed at every 8th pixel of a run of pixels on one face."""
-FAST_CELL = 4
-"""In quality "fast", ambient occlusion is computed on cells of 4 x 4 pixels."""
+
+
+class Quality(NamedTuple):
+    """How images are drawn.
+
+    Attributes:
+        shadows: whether lamps cast shadows.
+        samples: samples of rgb per pixel side.
+        cell: side of a cell of ambient occlusion [px].
+        stride: samples between the points of a run on one face at which light is computed.
+    """
+
+    shadows: bool
+    samples: int
+    cell: int
+    stride: int
+
+
+QualityName = Literal["fast", "film", "nice"]
+FAST: QualityName = "fast"
+FILM: QualityName = "film"
+NICE: QualityName = "nice"
+QUALITIES = {
+    FAST: Quality(False, 1, 4, 8),
+    FILM: Quality(True, 1, 4, 4),
+    NICE: Quality(True, 2, 2, 1),
+}
+"""For observations, for films, and for pictures that people look at for long."""
 ALL = 0
 """``which`` of `kernels.draw`: all instances."""
 STILL = 1
@@ -98,12 +122,11 @@ class Cameras:
 
 
 class _Picture(NamedTuple):
-    """Size of an image [px], whether lamps cast shadows, and rgb samples per pixel side."""
+    """Size of an image [px], and how it is drawn."""
 
     height: int
     width: int
-    shadows: bool
-    samples: int
+    quality: Quality
 
 
 class _Shot(NamedTuple):
@@ -156,7 +179,7 @@ class Rasterizer:
         body_mat: np.ndarray,
         cameras: Cameras,
         outputs: Sequence[str] = OUTPUTS,
-        quality: Literal["fast", "nice"] = "fast",
+        quality: QualityName = FAST,
         ssaa: int = 0,
         looks: np.ndarray | None = None,
     ) -> dict[str, np.ndarray]:
@@ -167,8 +190,8 @@ class Rasterizer:
             body_pos, body_mat: (W, B, 3) [m] and (W, B, 3, 3) (or (W, B, 9)) world poses of the model's bodies.
             cameras: C of each world.
             outputs: any of "rgb", "depth", "seg".
-            quality: "fast" for observations: ambient occlusion on a coarse grid, lamps without shadows; "nice" for
-                people: lamp shadows, fine ambient occlusion, ssaa 2.
+            quality: "fast" for observations: ambient occlusion on a coarse grid, lamps without shadows; for people
+                "film", with the shadows of lamps, and "nice", with fine ambient occlusion and ssaa 2, too.
             ssaa: rgb samples per pixel side (supersampling); 0 takes that of ``quality``. Depth and seg have one sample
                 per pixel.
             looks: (W, M), the material that each of the M of the scene is drawn as; None for its own.
@@ -195,7 +218,9 @@ class Rasterizer:
         self._check(home, body_pos.shape[1], width, height)
         fovy = np.asarray(cameras.fovy, np.float64)
         focal = np.broadcast_to(0.5 * height / np.tan(0.5 * fovy), cam_pos.shape[:2])
-        samples = ssaa or (2 if quality == "nice" else 1)
+        looks = QUALITIES[quality]
+        if ssaa:
+            looks = looks._replace(samples=ssaa)
         views = ViewBatch(
             home,
             self._looks(looks, len(home)),
@@ -207,9 +232,9 @@ class Rasterizer:
             float(cameras.level_error),
             **_images((len(home), cam_pos.shape[1], height, width), outputs),
         )
-        if quality == "nice" or samples > 1:
+        if looks.shadows or looks.samples > 1:
             jobs = [(w, c) for w in range(len(home)) for c in range(cam_pos.shape[1])]
-            picture = _Picture(height, width, quality == "nice", samples)
+            picture = _Picture(height, width, looks)
             self._each(lambda job: self._draw(views, *job, picture), jobs)
         else:
             self._draw_fast(views, height, width)
@@ -242,15 +267,15 @@ class Rasterizer:
         self, views: ViewBatch, turn: np.ndarray, height: int, width: int
     ) -> None:
         """Render the worlds that this thread takes, see `draw_worlds`."""
-        buffers = self._buffers(height, width, FAST_CELL)
+        buffers = self._buffers(height, width, QUALITIES[FAST].cell)
         draw_worlds(
             self._scenery,
             views,
             turn,
             NEAR,
             self.cull_backfaces,
-            FAST_CELL,
-            FAST_STRIDE,
+            QUALITIES[FAST].cell,
+            QUALITIES[FAST].stride,
             buffers,
         )
 
@@ -283,7 +308,8 @@ class Rasterizer:
         """Render camera ``c`` of world ``w``."""
         height = picture.height
         width = picture.width
-        samples = picture.samples
+        samples = picture.quality.samples
+        cell = picture.quality.cell
         bodies = Bodies(views.body_pos[w], views.body_mat[w])
         lens = Lens(
             views.cam_pos[w, c],
@@ -295,11 +321,11 @@ class Rasterizer:
         shot = _Shot(int(views.home[w]), views.looks[w], bodies, lens)
         fine = views.rgb.shape[1] > 0 and samples > 1
         if fine:
-            buffers = self._buffers(height * samples, width * samples, 2 * samples)
+            buffers = self._buffers(height * samples, width * samples, cell * samples)
             large = shot._replace(lens=lens._replace(focal=lens.focal * samples))
             self._trace(large, buffers)
             self._shade(large, buffers, views.rgb[w, c], picture)
-        buffers = self._buffers(height, width, 2)
+        buffers = self._buffers(height, width, cell)
         if views.depth.shape[1] or views.seg.shape[1] or not fine:
             self._trace(shot, buffers)
         if views.depth.shape[1]:
@@ -363,17 +389,16 @@ class Rasterizer:
     ) -> None:
         s = self._scenery
         lens = shot.lens
-        cell = 2 * picture.samples
+        looks = picture.quality
+        cell = looks.cell * looks.samples
         lamps = s.lamps
-        stride = FAST_STRIDE * picture.samples
         openness = Openness(buffers.share, buffers.depths, 1.0 / cell)
         ambient_occlusion(
             buffers.inverse, cell, lens.focal, buffers.raw, buffers.share, buffers.depths
         )
-        if picture.shadows:
+        if looks.shadows:
             drawn = buffers.draw.drawn.copy()
             lamps = lamps._replace(shadow=self._lamp_maps(shot, buffers))
-            stride = 1
             buffers.draw.drawn[:] = drawn
         shade(
             s.surface,
@@ -387,7 +412,7 @@ class Rasterizer:
             openness,
             s.tone,
             buffers.shade,
-            stride,
+            looks.stride,
             rgb,
         )
 
@@ -422,8 +447,8 @@ def _check_names(outputs: Sequence[str], quality: str) -> None:
     for name in outputs:
         if name not in OUTPUTS:
             raise unknown_name("output", name, OUTPUTS)
-    if quality not in ("fast", "nice"):
-        raise unknown_name("quality", quality, ("fast", "nice"))
+    if quality not in QUALITIES:
+        raise unknown_name("quality", quality, QUALITIES)
 
 
 def _array(value: np.ndarray, shape: tuple[int, ...], name: str) -> np.ndarray:

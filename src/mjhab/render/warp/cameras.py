@@ -17,8 +17,8 @@ import warp as wp
 from mjhab.core.errors import fault, unknown_name
 from mjhab.core.rotations import mat_from_quat
 from mjhab.core.typed.checks import check
-from mjhab.render.home_scene import build_render_scene
-from mjhab.render.raster.rasterizer import FAST_CELL, NEAR, OUTPUTS
+from mjhab.render.layout_scene import build_render_scene
+from mjhab.render.raster.rasterizer import FAST, NEAR, OUTPUTS, QUALITIES
 from mjhab.render.warp import occlusion as warp_occlusion
 from mjhab.render.warp import shading as warp_shading
 from mjhab.render.warp import tracing as warp_tracing
@@ -176,9 +176,9 @@ class WarpCameras:
     def _make_cells(self) -> Any:
         cells = warp_occlusion.Cells()
         (height, width) = self._size
-        cells.cell = FAST_CELL
-        cells.width = -(-width // FAST_CELL)
-        cells.height = -(-height // FAST_CELL)
+        cells.cell = QUALITIES[FAST].cell
+        cells.width = -(-width // QUALITIES[FAST].cell)
+        cells.height = -(-height // QUALITIES[FAST].cell)
         shape = (
             self._chunk,
             len(self._cameras) if "rgb" in self._outputs else 0,

@@ -23,9 +23,9 @@ from mjhab.core.errors import MjhabError
 from mjhab.core.files.cache import write_atomic
 from mjhab.core.timing import STEP_SECONDS
 from mjhab.data.store.schema import STORED_CHECKS
-from mjhab.render.follow_camera import FollowCamera
-from mjhab.render.home_scene import build_render_scene
+from mjhab.render.layout_scene import build_render_scene
 from mjhab.render.models import DrawnHome, Look, Model, home_models
+from mjhab.render.pictures.follow_camera import FollowCamera
 from mjhab.reports.pages import base64_text, render_page
 from mjhab.reports.plots import event_tone, kind_color
 from mjhab.tasks.scoring import term_names

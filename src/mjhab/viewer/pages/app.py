@@ -15,9 +15,9 @@ import viser
 
 from mjhab.data.store.schema import STORED_CHECKS
 from mjhab.layout.layout import Layout
-from mjhab.render.follow_camera import FollowCamera
-from mjhab.render.home_scene import build_render_scene
+from mjhab.render.layout_scene import build_render_scene
 from mjhab.render.models import DrawnHome, home_models
+from mjhab.render.pictures.follow_camera import FollowCamera
 from mjhab.render.render_scene import RenderScene
 from mjhab.serving.server import LOCAL_HOSTS
 from mjhab.sim.mujoco.cpu import CpuSimulator

@@ -11,8 +11,8 @@ import pytest
 from mjhab import envs
 from mjhab.core.boxes import sphere_box_distance
 from mjhab.core.joints import BASE
-from mjhab.render.follow_camera import FollowCamera
 from mjhab.render.home_scene import HomeRenderer
+from mjhab.render.pictures.follow_camera import FollowCamera
 
 
 def test_nothing_tall_stands_between_camera_and_robot() -> None:

@@ -1,0 +1,86 @@
+"""Films of evaluations: the camera, the sentence of the subtask below, teleports marked."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from mjhab.core.joints import BASE
+from mjhab.experts.gaze import worked_on
+
+if TYPE_CHECKING:
+    from mjhab.envs.sequential import SequentialTaskEnv
+    from mjhab.render.pictures.film_camera import FilmCamera, FilmedMoment, Setup
+
+MARKED_FRAMES = 15
+"""Number of frames that say that the robot was teleported."""
+TELEPORT = "teleport"
+
+
+def scene_of(env: SequentialTaskEnv, world: int) -> FilmedMoment:
+    """What a picture of a world should show."""
+    from mjhab.render.pictures.film_camera import FilmedMoment  # loads numba
+
+    view = env.view(world)
+    tcp = view.tcp_pose[:3]
+    target = worked_on(view)
+    return FilmedMoment(
+        env.homes[world],
+        env.state.body_pos[world].copy(),
+        env.state.body_mat[world].copy(),
+        env.state.robot_q[world, BASE].copy(),
+        tcp,
+        tcp if target is None else target,
+    )
+
+
+class FilmCrew:
+    """Shoots films of an evaluation, see `rollout.films.Crew`.
+
+    Args:
+        width, height: of the frames [px].
+    """
+
+    def __init__(self, width: int, height: int) -> None:
+        self._size = (width, height)
+        self._camera: FilmCamera | None = None
+        self._last: dict[int, Setup] = {}
+        self._marked: dict[int, int] = {}
+
+    def begin(self, world: int) -> None:
+        """A new film begins in a world."""
+        self._last.pop(world, None)
+        self._marked.pop(world, None)
+
+    def shoot(
+        self, env: SequentialTaskEnv, worlds: Sequence[int], info: Mapping[str, Any]
+    ) -> list[np.ndarray]:
+        """Frames (n, height, width, 3) uint8 sRGB."""
+        return [
+            self._frame(env, world, str(info["instruction"][world])) for world in worlds
+        ]
+
+    def _frame(self, env: SequentialTaskEnv, world: int, sentence: str) -> np.ndarray:
+        from mjhab.render.home_scene import is_sane
+        from mjhab.render.pictures.captions import with_words
+        from mjhab.render.pictures.film_camera import FilmCamera
+        from mjhab.render.pictures.viewpoint import cameras_of
+
+        width, height = self._size
+        renderer = env.observer.renderer
+        state = env.state
+        if not is_sane(state.body_pos[[world]], state.body_mat[[world]])[0]:
+            return np.zeros((height, width, 3), np.uint8)
+        if self._camera is None:
+            self._camera = FilmCamera(renderer)
+        shot = self._camera.follow(scene_of(env, world), self._last.get(world))
+        self._last[world] = shot
+        if shot.teleported:
+            self._marked[world] = MARKED_FRAMES
+        left = self._marked.get(world, 0)
+        self._marked[world] = left - 1
+        views = cameras_of([shot.view], width, height)
+        picture = renderer.picture(state, world, env.homes[world], views)[0]
+        return with_words(picture, sentence, TELEPORT if left > 0 else "")

@@ -1,0 +1,1 @@
+"""Pictures of episodes that ran: stills, contact sheets and turntables."""

@@ -22,7 +22,7 @@ RADII_M = (1.4, 1.9, 2.6)
 HEIGHTS_M = (1.5, 2.1)
 AZIMUTHS = 16
 """Candidates stand on rings around the middle of robot, hand and target."""
-JUDGED = 14
+JUDGED = 30
 """Number of candidates that are drawn: those that promise most."""
 JUDGED_SIZE = (96, 54)
 """Width and height of the images that candidates are judged by [px]."""

@@ -218,9 +218,9 @@ class Rasterizer:
         self._check(home, body_pos.shape[1], width, height)
         fovy = np.asarray(cameras.fovy, np.float64)
         focal = np.broadcast_to(0.5 * height / np.tan(0.5 * fovy), cam_pos.shape[:2])
-        looks = QUALITIES[quality]
+        how = QUALITIES[quality]
         if ssaa:
-            looks = looks._replace(samples=ssaa)
+            how = how._replace(samples=ssaa)
         views = ViewBatch(
             home,
             self._looks(looks, len(home)),
@@ -232,9 +232,9 @@ class Rasterizer:
             float(cameras.level_error),
             **_images((len(home), cam_pos.shape[1], height, width), outputs),
         )
-        if looks.shadows or looks.samples > 1:
+        if how.shadows or how.samples > 1:
             jobs = [(w, c) for w in range(len(home)) for c in range(cam_pos.shape[1])]
-            picture = _Picture(height, width, looks)
+            picture = _Picture(height, width, how)
             self._each(lambda job: self._draw(views, *job, picture), jobs)
         else:
             self._draw_fast(views, height, width)
@@ -389,14 +389,14 @@ class Rasterizer:
     ) -> None:
         s = self._scenery
         lens = shot.lens
-        looks = picture.quality
-        cell = looks.cell * looks.samples
+        how = picture.quality
+        cell = how.cell * how.samples
         lamps = s.lamps
         openness = Openness(buffers.share, buffers.depths, 1.0 / cell)
         ambient_occlusion(
             buffers.inverse, cell, lens.focal, buffers.raw, buffers.share, buffers.depths
         )
-        if looks.shadows:
+        if how.shadows:
             drawn = buffers.draw.drawn.copy()
             lamps = lamps._replace(shadow=self._lamp_maps(shot, buffers))
             buffers.draw.drawn[:] = drawn
@@ -412,7 +412,7 @@ class Rasterizer:
             openness,
             s.tone,
             buffers.shade,
-            looks.stride,
+            how.stride,
             rgb,
         )
 

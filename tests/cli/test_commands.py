@@ -23,7 +23,8 @@ from mjhab.core import machine as machine_module
 from mjhab.core.machine import checkout, install_extra, pip_install
 from mjhab.core.registration.plugins import Plugin
 from mjhab.core.version import __version__
-from mjhab.render import gl_probe, views
+from mjhab.render import gl_probe
+from mjhab.render.pictures import home_views
 
 
 def machine(capsys: pytest.CaptureFixture[str], *args: str) -> dict[str, Any]:
@@ -117,13 +118,13 @@ def test_homes_render_writes_the_picture(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     def draw(
-        pack: Any, home: str, view: str, width: int, height: int, shading: Any
-    ) -> np.ndarray:
+        pack: Any, homes: list[str], view: str, width: int, height: int, shading: Any
+    ) -> list[np.ndarray]:
         assert shading is None
-        assert (home, view) == ("builtin_m0_00", "inside")
-        return np.full((height, width, 3), 90, np.uint8)
+        assert (homes, view) == (["builtin_m0_00"], "inside")
+        return [np.full((height, width, 3), 90, np.uint8)]
 
-    monkeypatch.setattr(views, "render_home", draw)
+    monkeypatch.setattr(home_views, "render_homes", draw)
     out = tmp_path / "new" / "home.png"
     size = ("--width", "64", "--height", "48")
     said = machine(

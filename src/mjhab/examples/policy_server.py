@@ -3,7 +3,7 @@
 Run `python policy_server.py 8000`, and `mjhab eval --policy ws://localhost:8000 --subtask pick --episodes 2`.
 """
 
-import sys
+import argparse
 
 import msgpack
 import numpy as np
@@ -45,6 +45,9 @@ def answer(connection):
 
 
 if __name__ == "__main__":
-    with serve(answer, "localhost", int(sys.argv[1]), compression=None) as server:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("port", type=int, help="0 for any free port, which is printed")
+    port = parser.parse_args().port
+    with serve(answer, "localhost", port, compression=None) as server:
         print(server.socket.getsockname()[1], flush=True)
         server.serve_forever()

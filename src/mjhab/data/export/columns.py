@@ -20,7 +20,7 @@ _PARTS: dict[str, tuple[str, str]] = {
 _TURNS = ("qw", "qx", "qy", "qz")
 _OF_JOINTS = {"qpos": ("m", "rad"), "qvel": ("m/s", "rad/s")}
 """Units of a part with a column per joint: of joints that slide, and of those that turn."""
-_SLIDES = ("torso_lift", "finger", "slide")
+_SLIDES = ("torso", "finger", "slide")
 """What names of joints that slide hold."""
 
 

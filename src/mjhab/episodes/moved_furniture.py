@@ -21,7 +21,7 @@ from mjhab.scenes.spec import PARKED, Home, Pack, Placement
 
 MARK = "~moved"
 """Part of the names of versions, and of no other home's."""
-VERSIONS = 2
+MOVES_PER_HOME = 2
 """Versions of a home for each largest shift."""
 LARGEST_M = 0.62
 """Furniture whose footprint is longer [m], or does not begin at the floor, stays."""
@@ -47,7 +47,7 @@ _TURN_RAD = 0.6
 def with_moved_furniture(
     pack: Pack, homes: Sequence[str], shifts: Iterable[float]
 ) -> Pack:
-    """Return a pack with `VERSIONS` more homes for each of ``homes`` and each largest shift [m], behind all homes.
+    """Return a pack with `MOVES_PER_HOME` more homes for each of ``homes`` and each largest shift [m], behind all homes.
 
     A version in which nothing can be moved is left out. Equal arguments give the same object while the pack is held.
     """
@@ -170,7 +170,7 @@ def _extended(pack: Pack, homes: Sequence[str], shifts: Sequence[float]) -> Pack
         solids = _solids(home, pack)
         loose = _loose(home, pack)
         for shift in shifts:
-            for number in range(VERSIONS):
+            for number in range(MOVES_PER_HOME):
                 found += _version(home, pack, (shift, number), loose, solids)
     return replace(pack, homes=(*pack.homes, *found))
 

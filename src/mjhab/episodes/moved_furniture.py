@@ -47,7 +47,7 @@ _TURN_RAD = 0.6
 def with_moved_furniture(
     pack: Pack, homes: Sequence[str], shifts: Iterable[float]
 ) -> Pack:
-    """Return a pack with `MOVES_PER_HOME` more homes for each of ``homes`` and each largest shift [m], behind all homes.
+    """A pack with `MOVES_PER_HOME` more homes for each of ``homes`` and each largest shift [m], behind all others.
 
     A version in which nothing can be moved is left out. Equal arguments give the same object while the pack is held.
     """

@@ -15,7 +15,7 @@ from mjhab.core.rotations import pose_inv, pose_mul
 from mjhab.episodes.episode import Episode
 from mjhab.episodes.generator import MAX_DRIFT, MAX_SPEED
 from mjhab.episodes.moved_furniture import (
-    VERSIONS,
+    MOVES_PER_HOME,
     Things,
     carried,
     is_possible,
@@ -87,7 +87,9 @@ class EpisodePerturber:
         homes = layout.pack.homes_by_name
         home = homes[episode.home]
         shift = called(drawn.axis, "furniture", drawn)
-        names = [version_name(home.name, shift, number) for number in range(VERSIONS)]
+        names = [
+            version_name(home.name, shift, number) for number in range(MOVES_PER_HOME)
+        ]
         known = [name for name in names if name in homes]
         order = drawn.stream("furniture").permutation(len(known)).tolist()
         things = self._things(episode, home)

@@ -15,6 +15,7 @@ import pytest
 import mjhab
 from mjhab.evaluation import evaluate as library
 from mjhab.evaluation.evaluate import EvalSpec, EvaluationInterrupted, run_evaluation
+from mjhab.rollout.films import HumanView
 from mjhab.rollout.policy import RolloutEnv, ZeroPolicy
 from mjhab.rollout.sinks import Sink
 from mjhab.rollout.store import read_records
@@ -42,6 +43,8 @@ class Stage:
 def stage(monkeypatch: pytest.MonkeyPatch) -> Stage:
     stage = Stage()
     monkeypatch.setattr(library, "make_env", stage.make_env)
+    # A camera that looks for hand and target needs the robot, which the stand-in lacks.
+    monkeypatch.setattr(library, "FilmCrew", HumanView)
     return stage
 
 

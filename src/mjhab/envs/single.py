@@ -25,7 +25,7 @@ OF_WORLDS = frozenset(
     get_columns get_state goal_distance grip homes info joint_start layout link_state make_episode nan_resets nav
     observer outcome_signals perturber progress render_world render_worlds reporter restorable_parts reward_terms
     rewarder seeds sensing set_columns set_state signals sim source starts state state_as state_digest success
-    tables taint_names task_config teleports timed_methods tracker view
+    tables taint_names task_config teleports timed_methods tracker view wordings
     """.split()
 )
 """Attributes of `SingleEnv.worlds` that `SingleEnv` forwards. Attributes that only vector environments have in

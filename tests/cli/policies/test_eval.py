@@ -16,6 +16,7 @@ from mjhab.cli.main import main
 from mjhab.evaluation import evaluate
 from mjhab.evaluation.evaluate import EvalSpec
 from mjhab.evaluation.resolve import PolicyFacts
+from mjhab.rollout.films import HumanView
 from mjhab.rollout.store import EvaluationFolder, read_records
 from tests.rollout.fake_env import FakeEnv
 
@@ -74,6 +75,8 @@ class Stage:
 def stage(monkeypatch: pytest.MonkeyPatch) -> Stage:
     stage = Stage()
     monkeypatch.setattr(evaluate, "make_env", stage.make_env)
+    # A camera that looks for hand and target needs the robot, which the stand-in lacks.
+    monkeypatch.setattr(evaluate, "FilmCrew", HumanView)
     return stage
 
 

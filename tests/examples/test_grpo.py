@@ -22,7 +22,7 @@ def test_advantages_compare_within_a_group(grpo: dict) -> None:
 
 def test_an_update_makes_the_better_action_likelier(grpo: dict) -> None:
     torch.manual_seed(0)
-    policy = grpo["Policy"](5, 3, False)
+    policy = grpo["ChunkTransformer"](5, 3, False)
     optimizer = torch.optim.Adam(policy.parameters(), 1e-2)
     seen = {"states": torch.randn(2, 5), "task_descriptions": ["close it", "shut it"]}
     acted = policy(seen).sample()

@@ -25,7 +25,7 @@ CHUNK = 4
 """Actions that are decided at once."""
 
 
-class Policy(nn.Module):
+class ChunkTransformer(nn.Module):
     """Tokens of the state, of the words and of patches of images; the first one gives the means of the actions."""
 
     def __init__(self, states: int, actions: int, images: bool, width: int = 64) -> None:
@@ -72,7 +72,9 @@ class Step:
     running: Tensor
 
 
-def collect(env: RLinfEnv, policy: Policy, chunks: int) -> tuple[list[Step], Tensor]:
+def collect(
+    env: RLinfEnv, policy: ChunkTransformer, chunks: int
+) -> tuple[list[Step], Tensor]:
     """Let every start be tried by its group; what was done, and returns (B,)."""
     env.update_reset_state_ids()
     seen, _ = env.reset()
@@ -102,7 +104,10 @@ def advantages(returns: Tensor, group: int) -> Tensor:
 
 
 def update(
-    policy: Policy, optimizer: torch.optim.Optimizer, steps: list[Step], gain: Tensor
+    policy: ChunkTransformer,
+    optimizer: torch.optim.Optimizer,
+    steps: list[Step],
+    gain: Tensor,
 ) -> float:
     """Two epochs of the clipped objective; the mean loss."""
     losses = []
@@ -152,7 +157,7 @@ def main(words: list[str] | None = None) -> list[float]:
     )
     seen, _ = env.reset()
     numbers = seen["states"].shape[1], env.single_action_space.shape[0]
-    policy = Policy(*numbers, asked.images)
+    policy = ChunkTransformer(*numbers, asked.images)
     optimizer = torch.optim.Adam(policy.parameters(), 3e-4)
     means = []
     for number in range(asked.updates):

@@ -97,52 +97,66 @@ def target_views(
     worlds, columns = np.nonzero(seen)
     if not len(worlds):
         return views
-    eye, own = pos[worlds, columns], mat[worlds, columns]
-    look, distance = turned(eye, own, target[worlds])
+    own = mat[worlds, columns]
+    look, distance = turned(pos[worlds, columns], own, target[worlds])
     # Columns of ``look`` are axes in the world; those of the relative rotation are axes in the robot's camera.
     relative = np.stack([_in_frame(own, look[:, :, k]) for k in range(3)], axis=2)
     wide = np.full(len(worlds), FOV)
-    names = dict.fromkeys(_DRAWN[output] for output in outputs)
-    mounts = looks = None
-    if perturbed is not None:
-        mounts, looks = perturbed.change
-        names |= dict.fromkeys(perturbed.needs if RGB in names else ())
+    mounts = None if perturbed is None else perturbed.change.mounts
+    eye = pos[worlds, columns]
     if mounts is not None:
         one = CameraChange(*(part[worlds, columns][:, None] for part in mounts))
         moved = one.applied(eye[:, None], own[:, None], wide[:, None])
-        eye, own, wide = (part[:, 0] for part in moved)
-        look = own @ relative
-    drawn = renderer.render(
-        renderer.home_numbers(homes)[worlds],
-        state.body_pos[worlds],
-        state.body_mat[worlds],
-        Cameras(
-            eye[:, None], look[:, None], wide[:, None], width, height, ROBOT_LEVEL_ERROR
-        ),
-        tuple(names),
-        looks=looks if looks is None else looks[worlds],
+        eye, moved_own, wide = (part[:, 0] for part in moved)
+        look = moved_own @ relative
+    turned_to = Cameras(
+        eye[:, None], look[:, None], wide[:, None], width, height, ROBOT_LEVEL_ERROR
     )
-    if perturbed is not None and RGB in names:
-        focal = 0.5 * height / np.tan(0.5 * wide)
-        for world in np.unique(worlds).tolist():
-            rows = worlds == world
-            # Copies: depth has its noise as bytes.
-            own = {name: image[rows, 0] for name, image in drawn.items()}
-            perturbed.picture(world, own, look[rows], focal[rows])
-            drawn[RGB][rows, 0] = own[RGB]
+    drawn = _drawn(renderer, state, homes, worlds, turned_to, outputs, perturbed)
     pixels = _sums(relative[:, None, None], rays(size)[None])
     known = in_image(pixels, fovy[worlds, columns][:, None, None], aspect)
     for output in outputs:
-        image = drawn[_DRAWN[output]][:, 0]
+        image = drawn[_DRAWN[output]]
         if output == TARGET_DEPTH:
-            views[output][worlds, columns] = np.where(
-                known, relative_bytes(image, distance), np.uint8(UNSEEN)
-            )
-        else:
-            views[output][worlds, columns] = np.where(
-                known[..., None], image, np.uint8(UNSEEN)
-            )
+            image = relative_bytes(image, distance)
+        mask = known[..., None] if output in COLOURS else known
+        views[output][worlds, columns] = np.where(mask, image, np.uint8(UNSEEN))
     return views
+
+
+def _drawn(
+    renderer: HomeRenderer,
+    state: BodyPoses,
+    homes: Sequence[str],
+    worlds: np.ndarray,
+    views: Cameras,
+    outputs: Sequence[str],
+    perturbed: PerturbedViews | None,
+) -> dict[str, np.ndarray]:
+    """Images (n, height, width, ...) by their names of n views in the worlds (n,), colours perturbed."""
+    names = dict.fromkeys(_DRAWN[output] for output in outputs)
+    looks = None
+    if perturbed is not None:
+        looks = perturbed.change.looks
+        names |= dict.fromkeys(perturbed.needs if RGB in names else ())
+    images = renderer.render(
+        renderer.home_numbers(homes)[worlds],
+        state.body_pos[worlds],
+        state.body_mat[worlds],
+        views,
+        tuple(names),
+        looks=None if looks is None else looks[worlds],
+    )
+    drawn = {name: image[:, 0] for name, image in images.items()}
+    if perturbed is not None and RGB in names:
+        focal = 0.5 * views.height / np.tan(0.5 * np.asarray(views.fovy)[:, 0])
+        for world in np.unique(worlds).tolist():
+            rows = worlds == world
+            # Copies: depth has its noise as bytes.
+            mine = {name: image[rows] for name, image in drawn.items()}
+            perturbed.picture(world, mine, views.mat[rows, 0], focal[rows])
+            drawn[RGB][rows] = mine[RGB]
+    return drawn
 
 
 def turned(

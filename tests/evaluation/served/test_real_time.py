@@ -26,6 +26,8 @@ UNIT = 0.001
 TORSO = 10
 """Column of the actions that tells the control step."""
 LENGTH = 8
+LATER = 3
+"""Control steps from an observation to the first action of a server that plans for later."""
 
 
 class Counting(Constant):
@@ -139,13 +141,13 @@ def test_a_server_may_say_which_step_its_first_action_is_for(
         def infer(self, request: Mapping[str, Any], batch: int | None) -> np.ndarray:
             timing = request["real_time"]
             assert timing["hz"] == 20.0 and timing["delay"] == 2
-            return super().infer(request, batch)[:, timing["delay"] :]
+            return super().infer(request, batch)[:, LATER:]
 
     steps: list[int] = []
 
     class Saying(OpenPi):
         def answer(self, chunks: np.ndarray, incoming: Incoming, infer_ms: float) -> Any:
-            said = steps[0] if steps else incoming.request["real_time"]["step"] + 2
+            said = steps[0] if steps else incoming.request["real_time"]["step"] + LATER
             return {**super().answer(chunks, incoming, infer_ms), "step": said}
 
     monkeypatch.setitem(DIALECTS, "openpi", Saying())
@@ -156,7 +158,8 @@ def test_a_server_may_say_which_step_its_first_action_is_for(
         steps.append(-1)
         (record,) = rollout(env, served.policy, [0], seed=0, max_steps=3)
         close_policy(served.policy)
-    assert served.told == [0, 0, *range(3, 13)]
+    # Answers of five actions wait for their step; until then the chunk before goes on, as far as it reaches.
+    assert served.told == [0, 0, 0, 4, 5, 6, 7, 8, 0, 10, 11, 12]
     assert "'step' is the number of a control step, not -1" in record.error
 
 

@@ -84,12 +84,14 @@ class Playback:
         """Take the answer that is there in control step ``step``, if there is one.
 
         What was executed meanwhile came from the chunk before, so its actions for the steps that have passed are left
-        out; where the robot only waited, all of them are still to be done.
+        out, and those for later wait for their step; where the robot only waited, all of them are still to be done.
         """
         answer = self.pending
-        if answer is None or answer.arrives > step:
+        if answer is None:
             return
         overlaps = pace is not None and pace.meanwhile == CHUNK
+        if step < (max(answer.arrives, answer.first) if overlaps else answer.arrives):
+            return
         self.chunk = answer.chunk
         self.place = max(0, step - answer.first) if overlaps else 0
         self.taken = 0

@@ -21,6 +21,7 @@ from typing import Any
 
 import numpy as np
 
+from mjhab.core.files.checksums import README
 from mjhab.core.files.reading import read_json_object
 from mjhab.core.files.run_folder import RunFolder, write_text
 from mjhab.data.record.job import TRIED, Standing, read_tried
@@ -152,8 +153,7 @@ def run_making(
 def _config(spec: DatasetSpec) -> dict[str, Any]:
     asked = spec.asked
     kept = ("track", "keep", "until", "failures", "images", "camera_size", "rgb")
-    free = ("per_target", "rows", "episodes", "held_out")
-    config = {name: getattr(spec, name) for name in (*kept, *free)}
+    config = {name: getattr(spec, name) for name in (*kept, *sorted(SetFolder.FREE_KEYS))}
     config |= {"policy": str(spec.policy), "style": list(spec.style)}
     named = ("profile", "assets", "seed", "randomise")
     return config | {name: recorded_value(asked, name) for name in named}
@@ -190,7 +190,7 @@ def _finish(spec: DatasetSpec, clock: _Clock) -> dict[str, Any]:
     write_text(spec.out / SPLITS_FILE, json.dumps(splits, indent=2) + "\n")
     about = describe(spec, splits, clock.told)
     write_text(spec.out / ABOUT, json.dumps(about, indent=2) + "\n")
-    write_text(spec.out / "README.md", card(about))
+    write_text(spec.out / README, card(about))
     return about
 
 

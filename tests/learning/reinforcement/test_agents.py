@@ -6,6 +6,7 @@ import dataclasses
 import shutil
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ import torch
 from mjhab.core.errors import UsageError
 from mjhab.learning.configs import preset_of
 from mjhab.learning.observation.spec import ObservationSpec
+from mjhab.learning.reinforcement.agent_encoder import AgentEncoder
 from mjhab.learning.reinforcement.configs import (
     LEAST_STD,
     MOST_STD,
@@ -71,6 +73,20 @@ def reward_of(policy: object, steps: int = 5 * HORIZON) -> float:
         with torch.no_grad():
             total += float(place.step(policy(place.seen)).reward.mean())  # type: ignore[operator]
     return total / steps
+
+
+def test_networks_may_be_on_another_device_than_the_worlds() -> None:
+    """Device meta keeps shapes alone, so whatever still lies on the CPU shows."""
+    elsewhere = torch.device("meta")
+    env: Any = Toy(WORLDS)
+    encoder = AgentEncoder(env, LAYOUT, True, elsewhere)
+    place = Worlds(env, encoder, 0, TrainingRules(longest_first=HORIZON))
+    for _ in range(2 * HORIZON):
+        step = place.step(torch.zeros(WORLDS, 1))
+        seen = (step.next_seen, place.seen)
+        given = [tensor for one in seen for tensor in vars(one).values()]
+        given += [step.reward, step.terminated, step.ended, step.succeeded]
+        assert {tensor.device for tensor in given} == {elsewhere}
 
 
 @pytest.mark.parametrize(("privileged", "state_std"), [(False, False), (True, True)])

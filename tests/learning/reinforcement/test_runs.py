@@ -249,10 +249,10 @@ def test_a_run_leaves_a_policy_that_eval_takes_and_a_report(tmp_path: Path) -> N
     assert 'id="loss-plot"' in page
     # What PPO has left another run may begin from.
     start = str(tmp_path / "run" / "student.safetensors")
-    polished = train_in(
-        dataclasses.replace(request(dataclasses.replace(TINY, samples=16)), start=start),
-        tmp_path / "polished",
+    again = dataclasses.replace(
+        request(dataclasses.replace(TINY, samples=16)), start=start, network_device="cpu"
     )
+    polished = train_in(again, tmp_path / "polished")
     assert polished.summary["samples"] == 16
     # It sees what its student sees, whatever its preset says, and the config tells so.
     depth = dataclasses.replace(TINY, inputs=InputConfig())
@@ -353,6 +353,13 @@ def test_the_success_that_chooses_the_student_can_be_told(
     rows = [json.loads(line) for line in lines]
     found = [row["success_at_end"] for row in rows if "success_at_end" in row]
     assert found == [0.0, 0.1, 0.5, 0.4]
+
+
+def test_a_device_of_networks_that_is_not_there_is_refused(tmp_path: Path) -> None:
+    with refused("device", "cuda:9", expected="cpu"):
+        train_in(request(TINY, network_device="cuda:9"), tmp_path)
+    with refused("network_device", "cpu", expected="left out with backend 'warp'"):
+        request(TINY, network_device="cpu", env={"backend": "warp"})
 
 
 def test_an_unknown_success_that_chooses_is_refused() -> None:

@@ -1,4 +1,4 @@
-"""Observations for agents: tensors on the device of the environment's arrays."""
+"""Observations for agents: tensors on the device of their networks."""
 
 from __future__ import annotations
 
@@ -71,25 +71,31 @@ class AgentEncoder:
         env: environment of either backend.
         layout: inputs of the agent.
         privileged: whether to compute the inputs of a privileged critic, see PRIVILEGED.
+        device: of the agent's networks; that of the environment's arrays if not given.
     """
 
     def __init__(
-        self, env: PolicyWorlds, layout: ObservationSpec, privileged: bool
+        self,
+        env: PolicyWorlds,
+        layout: ObservationSpec,
+        privileged: bool,
+        device: torch.device | None = None,
     ) -> None:
         self._env = env
         self._layout = layout
         self._privileged = privileged
         self._encoder = ObservationEncoder(env, layout)
         self._numpy = isinstance(env.state.robot_q, np.ndarray)
-        self.device = torch.as_tensor(env.state.robot_q).device
+        self.env_device = torch.as_tensor(env.state.robot_q).device
+        self.device = device or self.env_device
         self._horizon = float(max(horizons(env.task_config)))
 
     def begin(self, fresh: Tensor) -> None:
-        """Episodes begin in the worlds of ``fresh`` (W,) bool."""
+        """Episodes begin in the worlds of ``fresh`` (W,) bool, on the device of the environment."""
         self._encoder.begin(self._array(fresh))
 
     def executed(self, actions: Tensor) -> None:
-        """Tell which actions (W, A) are executed before the next observation."""
+        """Tell which actions (W, A), on the device of the environment, are executed before the next observation."""
         self._encoder.executed(self._array(actions))
 
     def see(
@@ -101,7 +107,7 @@ class AgentEncoder:
             torch.as_tensor(encoded.vector),
             torch.as_tensor(encoded.images),
             self._privileged_of(info),
-        )
+        ).to(self.device)
 
     def _array(self, values: Tensor) -> Any:
         """The values in the library of the environment."""
@@ -110,7 +116,7 @@ class AgentEncoder:
     def _privileged_of(self, info: Mapping[str, Any]) -> Tensor:
         worlds = self._env.num_envs
         if not self._privileged:
-            return torch.zeros(worlds, 0, device=self.device)
+            return torch.zeros(worlds, 0, device=self.env_device)
         state = self._env.state
         parts = [state.robot_q, state.robot_qd, state.link_q, state.link_qd]
         columns = [torch.as_tensor(part).float() for part in parts]

@@ -15,6 +15,7 @@ from torch import Tensor
 from mjhab.core.arithmetic.sums import ordered_sum
 from mjhab.core.seeding import stream
 from mjhab.envs.parts.reporting import CHECKERS
+from mjhab.learning.devices import training_device
 from mjhab.learning.observation.spec import ObservationSpec, observation_spec_of
 from mjhab.learning.reinforcement.agent_encoder import AgentEncoder
 from mjhab.learning.reinforcement.environments import training_env
@@ -102,7 +103,13 @@ class ReinforcementSession(Session):
         layout = self._layout()
         check_student(self.config.student, layout)
         self.settle(layout)
-        encoder = AgentEncoder(self.env, layout, self.config.privileged_critic)
+        named = spec.network_device
+        encoder = AgentEncoder(
+            self.env,
+            layout,
+            self.config.privileged_critic,
+            training_device(named) if named else None,
+        )
         self.privileged_width = encoder.privileged_width
         self.worlds = Worlds(self.env, encoder, self._episodes_seed(), self._rules())
         self.demonstrations = 0

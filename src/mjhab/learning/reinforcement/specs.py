@@ -40,6 +40,10 @@ class ReinforcementSpec(TrainSpec):
     """Total number of samples (control steps of single worlds). With PPO's preset fast 0 stops after imitation."""
     worlds: Annotated[Number, Sets("worlds")] = None
     """Number of parallel worlds; it changes the result."""
+    network_device: Annotated[str, Flag(metavar="DEVICE")] = ""
+    """Device of the networks and their updates with backend cpu, which simulates on the cores meanwhile: cuda,
+    cuda:N, auto (the first GPU if there is one) or cpu; "" for that of the worlds. The last bits of the weights depend
+    on it."""
     start: Annotated[Path | None, Flag(metavar="CHECKPOINT", shown="default: none")] = (
         None
     )
@@ -59,6 +63,13 @@ class ReinforcementSpec(TrainSpec):
     def __post_init__(self) -> None:
         super().__post_init__()
         check_data(self.data, self.where)
+        if self.network_device and self.asked.backend == "warp":
+            raise wrong_value(
+                "network_device",
+                self.network_device,
+                "left out with backend 'warp'",
+                "Networks are where the worlds are, on --device.",
+            )
         config = self.config
         if self.data and config.algorithm != RLPD:
             raise wrong_value(

@@ -98,12 +98,14 @@ class Worlds:
         self.encoder = encoder
         self.count: int = env.num_envs
         self.device = encoder.device
+        """Device of the networks, and of all that this class takes and returns."""
+        at = encoder.env_device
         self.rules = rules or TrainingRules()
-        self._holding = torch.zeros(len(self.rules.conditions), device=encoder.device)
+        self._holding = torch.zeros(len(self.rules.conditions), device=at)
         self._steps = 0
         self.seconds = 0.0
         """Wall time spent in the environment and in converting its observations [s]."""
-        self._none = torch.zeros(self.count, dtype=torch.bool, device=self.device)
+        self._none = torch.zeros(self.count, dtype=torch.bool, device=at)
         self._succeeded = self._none
         self.seen: AgentObs = self.begin(seed)
 
@@ -127,7 +129,7 @@ class Worlds:
         longest = self.rules.longest_first
         if longest:
             drawn = stream(seed, "stagger").integers(1, longest + 1, self.count)
-            self._left = torch.from_numpy(drawn).to(self.device)
+            self._left = torch.from_numpy(drawn).to(self._none.device)
         self.encoder.begin(every)
         self.seen = self.encoder.see(obs, info)
         return self.seen
@@ -140,8 +142,8 @@ class Worlds:
         return transition
 
     def _step(self, actions: Tensor) -> Transition:
-        taken = actions.clamp(-1.0, 1.0)
-        given = taken.numpy() if self.device.type == "cpu" and self._numpy else taken
+        taken = actions.clamp(-1.0, 1.0).to(self._none.device)
+        given = taken.numpy() if self._numpy else taken
         obs, reward, terminated, truncated, info = self.env.step(given)
         rules = self.rules
         reward, terminated = rules.apply(
@@ -162,11 +164,11 @@ class Worlds:
             self.seen = self.encoder.see(obs, info, again=True)
         self._succeeded = succeeded & ~ended
         return Transition(
-            reward,
+            reward.to(self.device),
             following,
-            terminated,
-            ended,
-            succeeded,
+            terminated.to(self.device),
+            ended.to(self.device),
+            succeeded.to(self.device),
         )
 
     def _count(self, info: Mapping[str, Any]) -> None:

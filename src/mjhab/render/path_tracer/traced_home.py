@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from mjhab.render.models import DrawnHome, Part, home_models
+from mjhab.render.models import Part, home_models
 from mjhab.render.path_tracer.lights import Daylight, daylight, lamp, sky, sun
 from mjhab.render.path_tracer.materials import surface
 from mjhab.render.path_tracer.windows import (
@@ -19,6 +19,7 @@ from mjhab.render.path_tracer.windows import (
 from mjhab.render.raster.arrays import PARKED_BELOW
 from mjhab.render.render_scene import RenderScene
 from mjhab.scenes.formats.gltf import MAX_TEXTURE
+from mjhab.scenes.shading import CUDA
 
 MAX_DEPTH = 3
 """Longest path: two reflections; the exposure of `lights` makes up for the light of longer ones. A third one takes
@@ -29,6 +30,8 @@ is no change of the light: 0.24 instead of 0.34 s of a core for 128 x 128 pixels
 SUNBEAMS = {"type": "direct", "emitter_samples": 1, "bsdf_samples": 0}
 """What sees the sun: no reflections, since `Daylight.exposure` makes up for them, and no noise."""
 CEILING = (0.88, 0.88, 0.86)
+Groups = list[tuple[tuple[int, ...], Any]]
+"""Shape groups of Mitsuba, each with the bodies that look like it."""
 
 
 class PlacedHome(NamedTuple):
@@ -66,7 +69,8 @@ class TracedHome:
         self._ceiling = [span]
         if not self._openings:
             self._openings, self._ceiling = skylights(drawn.lamp_pos, span, self.ceiling)
-        self._groups = self._shapes(drawn)
+        self._drawn = drawn
+        self._groups = self._shapes()
         self._lamps = list(zip(drawn.lamp_pos, drawn.lamp_color, strict=True))
         self._scenes: dict[bool, list[_PlacedScene]] = {}
 
@@ -78,17 +82,19 @@ class TracedHome:
             pos, mat: of the bodies of the world.
         """
         if roof not in self._scenes:
+            bodies = [b for seen, _ in self._groups for b in seen if b != 0]
             made = self._inside() if roof else [self._open()]
             self._scenes[roof] = [
-                _PlacedScene(self._mi, self._mi.load_dict(scene), self._groups)
+                _PlacedScene(self._mi, self._mi.load_dict(scene), bodies)
                 for scene in made
             ]
         room, *sun = (scene.at(pos, mat) for scene in self._scenes[roof])
         return PlacedHome(room, sun[0] if sun else None)
 
-    def _shapes(self, drawn: DrawnHome) -> list[tuple[tuple[int, ...], Any]]:
+    def _shapes(self) -> Groups:
         """Shape groups, each with the bodies that look like it; (0,) is the world."""
         mi = self._mi
+        drawn = self._drawn
         surfaces = [mi.load_dict(surface(mi, look)) for look in drawn.looks]
         groups = []
         for model in (drawn.home, *drawn.movable):
@@ -100,7 +106,7 @@ class TracedHome:
 
     def _open(self) -> dict[str, Any]:
         """Without ceiling, under the sky."""
-        made = self._furnished() | self._lit_by_lamps()
+        made = self._furnished(self._groups) | self._lit_by_lamps()
         made["sky"] = sky(self._mi, self._light)
         if self._light.sunny:
             made["sun"] = sun(self._light)
@@ -108,17 +114,21 @@ class TracedHome:
 
     def _inside(self) -> list[dict[str, Any]]:
         """Below the ceiling: the room, and by day a second scene with the sun."""
-        roofed = self._furnished()
-        for k, rect in enumerate(self._ceiling):
-            roofed[f"ceiling{k}"] = _ceiling(self._mi, rect, self.ceiling)
-        room = roofed | self._lit_by_lamps()
+        ceiling = {
+            f"ceiling{k}": _ceiling(self._mi, rect, self.ceiling)
+            for k, rect in enumerate(self._ceiling)
+        }
+        room = self._furnished(self._groups) | ceiling | self._lit_by_lamps()
         if not self._light.sunny or not self._openings:
             return [room | {"sky": sky(self._mi, self._light)}]
         for k, opening in enumerate(self._openings):
             room[f"daylight{k}"] = daylight(self._mi, self._light, opening)
-        return [room, roofed | {"integrator": SUNBEAMS, "sun": sun(self._light)}]
+        # On a GPU the process ends where two scenes share a group.
+        own = self._shapes() if self._mi.variant() == CUDA else self._groups
+        lit = {"integrator": SUNBEAMS, "sun": sun(self._light)}
+        return [room, self._furnished(own) | ceiling | lit]
 
-    def _furnished(self) -> dict[str, Any]:
+    def _furnished(self, groups: Groups) -> dict[str, Any]:
         made: dict[str, Any] = {
             "type": "scene",
             "integrator": {
@@ -127,7 +137,7 @@ class TracedHome:
                 "rr_depth": ROULETTE_FROM,
             },
         }
-        for bodies, group in self._groups:
+        for bodies, group in groups:
             made[f"group{bodies[0]}"] = group
             for body in bodies:
                 made[f"body{body}"] = {"type": "instance", "group": group}
@@ -159,10 +169,10 @@ def _ceiling(mi: Any, rect: Rect, height: float) -> dict[str, Any]:
 class _PlacedScene:
     """A scene of Mitsuba and the parameters that move its bodies."""
 
-    def __init__(self, mi: Any, scene: Any, groups: list[tuple[tuple[int, ...], Any]]):
+    def __init__(self, mi: Any, scene: Any, bodies: list[int]):
         self._mi = mi
         self._scene = scene
-        self._bodies = [b for bodies, _ in groups for b in bodies if b != 0]
+        self._bodies = bodies
         self._params = mi.traverse(scene)
         keep = [f"body{body}.to_world" for body in self._bodies]
         self._params.keep(keep)

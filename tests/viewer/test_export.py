@@ -149,9 +149,13 @@ def test_the_command_writes_a_page(
     monkeypatch.setattr(export, "DETAILS", ((120, 0),))
     out = tmp_path / "one.html"
     words = ["view", str(shard), "--export", str(out)]
-    assert main([*words, "--episode", "1", "--json"]) == 0
+    assert main([*words, "--episode", "1", "--stills", "3", "--json"]) == 0
     told = json.loads(capsys.readouterr().out.strip().splitlines()[-1])
-    assert told == {"file": str(out), "bytes": out.stat().st_size, "frames": STEPS + 1}
+    counted = {"bytes": out.stat().st_size, "frames": STEPS + 1, "stills": 3}
+    assert told == {"file": str(out), **counted}
+    stills = Page(out).head["stills"]
+    assert [still["step"] for still in stills] == [0, STEPS // 2, STEPS]
+    assert len({still["picture"] for still in stills}) == 3
     evaluation = tmp_path / "evaluation"
     evaluation.mkdir()
     (evaluation / "episodes.jsonl").touch()
@@ -166,6 +170,9 @@ def test_the_command_writes_a_page(
         (["view", str(evaluation), "--export", str(out)], "keeps no states"),
         (["view", str(shard), "--horizon", "9"], "--horizon: is for running worlds"),
         (["view", "--export", str(out)], "give a shard"),
+        ([*words, "--shader", "path"], "--shader: is for running worlds"),
+        ([*words, "--stills", "99"], "stills must be at most 24"),
+        (["view", str(shard), "--stills", "2"], "give --export FILE.html"),
         (["view", "--where", "steps > 3"], "--where: is for recorded episodes"),
         (["view", str(shard), "--worlds", "4"], "--worlds: is for running worlds"),
         (["view", str(shard), "--policies", "zero"], "--policies: is for running worlds"),

@@ -27,16 +27,22 @@ def run_view(spec: ViewSpec, json: bool) -> int:
 
 def _export(spec: ViewSpec, json: bool) -> int:
     from mjhab.viewer.export.page import export_page
+    from mjhab.viewer.export.stills import stills_of
     from mjhab.viewer.sources.replay import Replay
 
     assert spec.export is not None
     replay = Replay(spec.places, read_filter(spec.where, spec.preset))
     try:
-        done = export_page(replay, replay.choice_at(spec.episode), spec.export)
+        title = replay.choice_at(spec.episode)
+        stills = []
+        if spec.stills:
+            stills = stills_of(*replay.place_of(title), spec.stills, spec.env)
+        done = export_page(replay, title, spec.export, stills)
     finally:
         replay.close()
     if json:
-        print_json({"file": str(done.file), "bytes": done.bytes, "frames": done.frames})
+        counted = {"bytes": done.bytes, "frames": done.frames, "stills": len(stills)}
+        print_json({"file": str(done.file), **counted})
     else:
         print(f"{done.file}: {done.frames} frames, {done.bytes:,} bytes")
     return 0

@@ -17,8 +17,13 @@ from mjhab.tasks.household.registry import TASKS
 from mjhab.tasks.subtasks.registry import SUBTASKS
 
 OF_RUNNING = ("policy", "policies", "record")
-OF_RECORDED = ("where", "preset", "export")
-"""Fields of `ViewSpec` for running worlds, besides ``env``, and for recorded episodes; the others are for both."""
+OF_RECORDED = ("where", "preset", "export", "stills")
+OF_STILLS = ("shader", "shading")
+"""Fields of `ViewSpec` for running worlds, besides ``env``, and for recorded episodes; the others are for both. Fields
+of ``env`` that are for stills, too."""
+
+MOST_STILLS = 24
+"""So many take 1 of the 5 MB of a page."""
 
 
 @dataclass(frozen=True)
@@ -75,6 +80,9 @@ class ViewSpec(EnvSpec):
         Path | None, Flag(metavar="FILE.html", shown="default: none"), Output(".html")
     ] = None
     """Write a recorded episode as a self-contained page instead of serving."""
+    stills: Annotated[int, Bound(0, MOST_STILLS)] = 0
+    """With --export: so many pictures of the episode in the page, by the camera of films; with --shader path as in a
+    photograph."""
     host: Annotated[str, Flag(metavar="ADDRESS")] = "localhost"
     """Address to listen on. With addresses other than localhost, everybody who can reach this machine can drive."""
     port: Annotated[int, Bound(most=65_535)] = 8080
@@ -82,6 +90,8 @@ class ViewSpec(EnvSpec):
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        if self.stills and self.export is None:
+            raise fault("--stills", "is for a page: give --export FILE.html.")
         for name in self._without_effect():
             shown = f"--{name.replace('_', '-')}"
             if self.places:
@@ -99,7 +109,8 @@ class ViewSpec(EnvSpec):
         given = [name for name in names if getattr(self, name) != default[name].default]
         if not self.places:
             return given
-        apart = [name for name in self.env if name != "threads"]
+        free = ("threads", *(OF_STILLS if self.stills else ()))
+        apart = [name for name in self.env if name not in free]
         return given + [flag_of(EnvConfig, name).name or name for name in apart]
 
     def as_evaluation(self) -> EvalSpec:

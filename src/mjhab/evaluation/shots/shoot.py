@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
@@ -122,7 +122,7 @@ def _taken(spec: ShotSpec, take: Take, file: Path | None) -> TakenShot:
     name = f"episode {spec.episode}"
     step = take.steps // 2 if spec.step is None else spec.step
     step = check_step(step, take.steps, name)
-    studio = _Studio(spec, take)
+    studio = Studio(spec, take)
     begun = time.perf_counter()
     if spec.turntable:
         assert file is not None
@@ -146,7 +146,7 @@ def _save(image: np.ndarray, file: Path) -> None:
     write_atomic(file, Image.fromarray(image).save)
 
 
-class _Studio:
+class Studio:
     """Draws the states of an episode."""
 
     def __init__(self, spec: ShotSpec, take: Take) -> None:
@@ -171,25 +171,15 @@ class _Studio:
 
         from PIL import Image
 
-        steps = np.unique(
-            np.linspace(first, self._take.steps, self._spec.sheet).round().astype(int)
-        )
-        columns = min(SHEET_COLUMNS, len(steps))
+        columns = min(SHEET_COLUMNS, self._spec.sheet, self._take.steps - first + 1)
         size = (
             max(16, self._spec.width // columns),
             max(16, self._spec.height // columns),
         )
         tiles = []
         views = []
-        last: Setup | None = None
-        for step in steps.tolist():
-            scene = self._scene(step)
-            view = self._view(scene)
-            if self._spec.view == FILM and self._spec.camera is None:
-                last = self._camera.follow(scene, last)
-                view = last.view
+        for step, image, view in self.stills(first, self._spec.sheet, size):
             views.append(view)
-            image = self._drawn(view, size, NICE)
             tiles.append(Tile(f"step {step}", "", self._take.sentences[step], image))
         save = _sheet_writer(self._take.title, tiles)
         if file is not None:
@@ -198,6 +188,24 @@ class _Studio:
         buffer = io.BytesIO()
         save(buffer)
         return np.asarray(Image.open(buffer).convert("RGB")), views[0]
+
+    def stills(
+        self, first: int, count: int, size: tuple[int, int]
+    ) -> Iterator[tuple[int, np.ndarray, Viewpoint]]:
+        """Pictures (height, width, 3) of ``count`` steps from ``first`` to the last, by a camera that follows.
+
+        Yields:
+            The step, its picture, and where it was taken from; fewer of a short episode, every step once.
+        """
+        steps = np.linspace(first, self._take.steps, count).round().astype(int)
+        last: Setup | None = None
+        for step in np.unique(steps).tolist():
+            scene = self._scene(step)
+            view = self._view(scene)
+            if self._spec.view == FILM and self._spec.camera is None:
+                last = self._camera.follow(scene, last)
+                view = last.view
+            yield step, self._drawn(view, size, NICE), view
 
     def turntable(self, step: int, file: Path) -> tuple[np.ndarray, Viewpoint]:
         """Write a film around hand and target at a step; returns its first frame."""

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from mjhab.render.models import Part, home_models
-from mjhab.render.path_tracer.lights import Daylight, daylight, lamp, sky, sun
+from mjhab.render.path_tracer.lights import TIMES, daylight, lamp, sky, sun
 from mjhab.render.path_tracer.materials import surface
 from mjhab.render.path_tracer.windows import (
     WALL,
@@ -19,7 +19,7 @@ from mjhab.render.path_tracer.windows import (
 from mjhab.render.raster.arrays import PARKED_BELOW
 from mjhab.render.render_scene import RenderScene
 from mjhab.scenes.formats.gltf import MAX_TEXTURE
-from mjhab.scenes.shading import CUDA
+from mjhab.scenes.shading import CUDA, Shading
 
 MAX_DEPTH = 3
 """Longest path: two reflections; the exposure of `lights` makes up for the light of longer ones. A third one takes
@@ -53,15 +53,16 @@ class TracedHome:
         mi: Mitsuba with its variant.
         scene: of the layout.
         home: index of the home in it.
-        light: the time of day.
+        shading: samples and the time of day.
 
     Attributes:
         ceiling: height of the ceiling [m]; -inf without walls, under the open sky.
     """
 
-    def __init__(self, mi: Any, scene: RenderScene, home: int, light: Daylight) -> None:
+    def __init__(self, mi: Any, scene: RenderScene, home: int, shading: Shading) -> None:
         self._mi = mi
-        self._light = light
+        self._samples = shading.samples
+        self._light = TIMES[shading.light]
         alone = one_home(scene, home)
         span, self.ceiling = _walls(alone)
         alone, self._openings = open_windows(alone)
@@ -95,7 +96,9 @@ class TracedHome:
         """Shape groups, each with the bodies that look like it; (0,) is the world."""
         mi = self._mi
         drawn = self._drawn
-        surfaces = [mi.load_dict(surface(mi, look)) for look in drawn.looks]
+        surfaces = [
+            mi.load_dict(surface(mi, look, self._samples)) for look in drawn.looks
+        ]
         groups = []
         for model in (drawn.home, *drawn.movable):
             group: dict[str, Any] = {"type": "shapegroup"}

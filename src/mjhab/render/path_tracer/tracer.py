@@ -140,7 +140,7 @@ class PathTracer:
 
     def _home(self, home: int) -> TracedHome:
         if home not in self._homes:
-            self._homes[home] = TracedHome(self._mi, self.scene, home, self._light)
+            self._homes[home] = TracedHome(self._mi, self.scene, home, self.shading)
             if len(self._homes) > HOMES_KEPT:
                 self._homes.popitem(last=False)
         self._homes.move_to_end(home)

@@ -355,8 +355,17 @@ async function main() {
     followed = here; state.shown = state.now; state.size = size;
     if (scene.changed || orbit.changed) { scene.draw(poses, state.now, orbit.eye, orbit.target, marks(step)); scene.changed = orbit.changed = false; }
   }
-  const play = (on) => { if (on && state.now >= last) state.now = 0; state.playing = on; $("play").textContent = on ? "Pause" : "Play"; };
-  const scrub = (step) => { play(false); state.now = Math.min(last, Math.max(0, step)); };
+  const play = (on) => { if (on) $("still").hidden = true; if (on && state.now >= last) state.now = 0; state.playing = on; $("play").textContent = on ? "Pause" : "Play"; };
+  const scrub = (step) => { play(false); $("still").hidden = true; state.now = Math.min(last, Math.max(0, step)); };
+  $("stills").hidden = !head.stills.length;
+  head.stills.forEach(({ step, picture }) => {
+    const item = document.createElement("button"), image = document.createElement("img");
+    item.type = "button"; image.src = picture; image.alt = `step ${step}`;
+    item.append(image, image.alt);
+    item.onclick = () => { scrub(step); $("still").firstChild.src = picture; $("still").hidden = false; };
+    $("stills").append(item);
+  });
+  $("still").onclick = () => { $("still").hidden = true; };
   $("play").onclick = () => play(!state.playing);
   const line = $("line");
   const to = (e) => { const box = line.getBoundingClientRect(); scrub(Math.round((e.clientX - box.left) / box.width * last)); };

@@ -6,12 +6,11 @@ the offset, size and type of every array. Positions are quantized to 16 bits.
 
 from __future__ import annotations
 
-import base64
 import io
 import json
 import math
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -31,6 +30,7 @@ from mjhab.reports.plots import event_tone, kind_color
 from mjhab.tasks.scoring import term_names
 from mjhab.viewer.drawn.cameras import CameraThread
 from mjhab.viewer.drawn.posing import Poser, base_of
+from mjhab.viewer.export.stills import Still
 from mjhab.viewer.pages.timeline import TONE_COLORS, actor_colors, subtask_spans
 from mjhab.viewer.sources.replay import Replay
 from mjhab.viewer.sources.track import Track
@@ -59,13 +59,16 @@ class ExportedPage:
     frames: int
 
 
-def export_page(replay: Replay, title: str, file: Path) -> ExportedPage:
+def export_page(
+    replay: Replay, title: str, file: Path, stills: Sequence[Still] = ()
+) -> ExportedPage:
     """Write a recorded episode as a page.
 
     Args:
         replay: has the episode, which it then shows.
         title: title of the episode, of ``replay.choices``.
         file: the file to write.
+        stills: pictures of it, see `stills.stills_of`.
 
     Raises:
         MjhabError: the page is larger than `MAX_BYTES` at every level of detail.
@@ -76,8 +79,10 @@ def export_page(replay: Replay, title: str, file: Path) -> ExportedPage:
     scene = build_render_scene(replay.sim.layout, replay.sim.model(track.home))
     home = [h.name for h in replay.sim.layout.pack.homes].index(track.home)
     size = 0
+    shown = [{"step": still.step, "picture": _jpeg_url(still.image)} for still in stills]
     for max_faces, pictures in DETAILS:
-        page = _page(track, home_models(scene, home, max_faces), replay, pictures)
+        models = home_models(scene, home, max_faces)
+        page = _page(track, models, replay, pictures, shown)
         size = len(page)
         if size <= MAX_BYTES:
             write_atomic(file, lambda temporary, page=page: temporary.write_bytes(page))
@@ -88,9 +93,16 @@ def export_page(replay: Replay, title: str, file: Path) -> ExportedPage:
     )
 
 
-def _page(track: Track, models: DrawnHome, replay: Replay, pictures: int) -> bytes:
+def _page(
+    track: Track,
+    models: DrawnHome,
+    replay: Replay,
+    pictures: int,
+    stills: list[dict[str, Any]],
+) -> bytes:
     block = _Block()
     header = _header(track, models, block)
+    header["stills"] = stills
     header["pose"] = _poses(track, models, replay, block)
     header["pictures"] = _pictures(track, replay, pictures, block)
     head = json.dumps(header, separators=(",", ":"), allow_nan=False).encode()
@@ -192,16 +204,15 @@ def _header(track: Track, models: DrawnHome, block: _Block) -> dict[str, Any]:
 
 
 def _look(look: Look) -> dict[str, Any]:
-    texture = None
-    if look.texture is not None:
-        texture = (
-            f"data:image/jpeg;base64,{base64.b64encode(_jpeg(look.texture)).decode()}"
-        )
     return {
         "color": np.round(look.color, 4).tolist(),
         "gloss": look.gloss,
-        "texture": texture,
+        "texture": None if look.texture is None else _jpeg_url(look.texture),
     }
+
+
+def _jpeg_url(picture: np.ndarray) -> str:
+    return f"data:image/jpeg;base64,{base64_text(_jpeg(picture))}"
 
 
 def _jpeg(picture: np.ndarray) -> bytes:

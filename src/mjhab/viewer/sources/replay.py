@@ -119,6 +119,11 @@ class Replay:
             number += 1
         return title
 
+    def place_of(self, title: str) -> tuple[Path, int]:
+        """The shard of the episode with a title of ``choices``, and its index there."""
+        episode = self._episodes[title]
+        return Path(episode.shard.path), episode.record.index
+
     def load(self, title: str) -> Track:
         """Read the track of the episode with a title of ``choices``.
 

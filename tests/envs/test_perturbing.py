@@ -606,7 +606,7 @@ def test_pixels() -> None:
     def lit(side: float, gain: float, toward: np.ndarray = behind) -> np.ndarray:
         image = every.copy()
         table = light_table(np.full(3, gain), side)
-        relight(image[None], wall[None], np.full(1, 16.0), toward[None], table)
+        relight(image[None], wall[None], np.full(1, 16.0), toward[None], table, True)
         return image
 
     np.testing.assert_array_equal(lit(0.0, 1.0), every)
@@ -632,6 +632,25 @@ def test_pixels() -> None:
     plain = np.full((5, 5, 3), 77, np.uint8)
     blur(plain[None], 0.7)
     assert (plain == 77).all()
+
+
+def test_light_from_a_side_throws_shadows() -> None:
+    """A board 0.35 m in front of a wall, and light from behind the camera on the right: the shadow is on the left."""
+    wall = np.full((64, 64), 2.0, np.float32)
+    wall[:, 24:40] = 1.65
+    table = light_table(np.ones(3), 0.5)
+    toward = np.array([[0.6, 0.0, 0.8]])
+    with_shadows, without = (
+        np.full((64, 64, 3), 120, np.uint8),
+        np.full((64, 64, 3), 120, np.uint8),
+    )
+    for image, shadows in ((with_shadows, True), (without, False)):
+        relight(image[None], wall[None], np.full(1, 64.0), toward, table, shadows)
+    darker = np.any(with_shadows < without, axis=2)
+    # What would stand in the way beyond the edge of the image is not seen.
+    darker = darker[16:48]
+    assert darker[:, 18:22].all() and not darker[:, 26:38].any()
+    assert not darker[:, :12].any() and not darker[:, 44:].any()
 
 
 def test_every_subtask_begins_with_every_axis() -> None:

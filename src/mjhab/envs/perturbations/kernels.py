@@ -21,6 +21,16 @@ EDGE = np.float32(0.1)
 """Neighbouring pixels whose distances differ by more than this share of them show different things."""
 OTHER = 255
 """Entry of a cell that shows no surface."""
+SHADOW_PX = 4
+"""Distance [px] of the points of an image for which shadows are looked for; between them they are soft."""
+SHADOW_M = tuple(np.float32(way) for way in 0.05 * 1.6 ** np.arange(7))
+"""Where on the way to the light something may stand [m]."""
+CLEAR = np.float32(0.015)
+THICK = np.float32(0.4)
+"""What stands in the way is nearer to the camera than the way is, by more than CLEAR [m], times 1 + distance [m], and
+by less than THICK [m], beyond which light passes behind it."""
+NEAREST = np.float32(0.05)
+"""Ways that come so near to the camera [m] are not followed."""
 HOLE_PX = 2
 """Side of the smallest hole in a depth image [px]; neighbouring ones make larger holes."""
 ONE = 256
@@ -66,26 +76,93 @@ def _faced(upper, lower, v, inv, toward, entry, most):
         entry[cell] = last
 
 
+@_helper
+def _reached(depth, focal, toward, lit):
+    """Write which points of an image the light reaches, 0 or 1, as far as the image shows what stands in its way.
+
+    depth: (h, w) float32 [m]. lit: (rows, columns) float32, of every pixel whose row and column are multiples of
+    SHADOW_PX, or the last one.
+    """
+    height, width = depth.shape
+    inv = np.float32(1.0) / focal
+    zero, one, half = np.float32(0.0), np.float32(1.0), np.float32(0.5)
+    half_x = np.float32(0.5 * width - 0.5)
+    half_y = np.float32(0.5 * height - 0.5)
+    for row in range(lit.shape[0]):
+        y = min(row * SHADOW_PX, height - 1)
+        for column in range(lit.shape[1]):
+            x = min(column * SHADOW_PX, width - 1)
+            d = depth[y, x]
+            lit[row, column] = one
+            if d <= zero:
+                continue
+            right = (np.float32(x) - half_x) * inv * d
+            up = (half_y - np.float32(y)) * inv * d
+            for way in SHADOW_M:
+                far = d - way * toward[2]
+                if far < NEAREST:
+                    break
+                scale = focal / far
+                i = np.int32((right + way * toward[0]) * scale + half_x + half)
+                j = np.int32(half_y - (up + way * toward[1]) * scale + half)
+                if i < 0 or j < 0 or i >= width or j >= height:
+                    break
+                gap = far - depth[j, i]
+                if gap > CLEAR * (one + d) and gap < THICK and depth[j, i] > zero:
+                    lit[row, column] = zero
+                    break
+
+
+@_helper
+def _shadowed(lit, y, entry):
+    """Take the light that does not reach them from the entries of a row of cells, softly between points of ``lit``.
+
+    y: row of the cells' first pixels. entry: see `_faced`.
+    """
+    row = y // SHADOW_PX
+    upper = lit[row]
+    lower = lit[min(row + (y % SHADOW_PX) // CELL_PX, lit.shape[0] - 1)]
+    half = np.float32(0.5)
+    for column in range(lit.shape[1]):
+        here = half * (upper[column] + lower[column])
+        after = min(column + 1, lit.shape[1] - 1)
+        there = half * (upper[after] + lower[after])
+        if here + there == np.float32(2.0):
+            continue
+        cell = column * (SHADOW_PX // CELL_PX)
+        if cell < len(entry):
+            entry[cell] = np.uint8(np.float32(entry[cell]) * here + half)
+        if cell + 1 < len(entry):
+            share = half * (here + there)
+            entry[cell + 1] = np.uint8(np.float32(entry[cell + 1]) * share + half)
+
+
 @_kernel
-def relight(rgb, depth, focal, toward, table):
+def relight(rgb, depth, focal, toward, table, shadows):
     """Change the light of C images in place.
 
     rgb: (C, h, w, 3) uint8. depth: (C, h, w) float32 [m], at least CELL_PX on a side. focal: (C,) float32 [px]. toward:
     (C, 3) float32 unit vectors to the light in the axes of the cameras. table: (n, 3, 256) uint8, of red, green and
-    blue by how much surfaces face the light, from 0 to 1.
+    blue by how much surfaces face the light, from 0 to 1. shadows: whether what the images show throws some.
     """
     cameras, height, width = depth.shape
     cells = width // CELL_PX
     entry = np.empty(cells + 1, np.uint8)
     flat = table.reshape(table.size)
+    points = (height - 2) // SHADOW_PX + 2, (width - 2) // SHADOW_PX + 2
+    lit = np.empty(points, np.float32)
     for camera in range(cameras):
         inv = np.float32(1.0) / focal[camera]
+        if shadows:
+            _reached(depth[camera], focal[camera], toward[camera], lit)
         for y in range(0, height, CELL_PX):
             # The last row of an odd image belongs to the cells above it, as its last column to those beside it.
             if y + 1 < height:
                 v = np.float32(0.5 * height - 0.5 - y) * inv
                 upper, lower = depth[camera, y], depth[camera, y + 1]
                 _faced(upper, lower, v, inv, toward[camera], entry, len(table) - 1)
+                if shadows:
+                    _shadowed(lit, y, entry)
                 entry[cells] = entry[cells - 1]
             for row in range(y, min(y + CELL_PX, height)):
                 line = rgb[camera, row]

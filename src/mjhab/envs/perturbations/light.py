@@ -17,7 +17,7 @@ class LightAxis(Perturbation):
     """The light of colour images: changed where it arrives, on the surfaces that a picture shows."""
 
     name = "light"
-    about = "brightness, colour and direction of the light, with the shade of what is turned away"
+    about = "brightness, colour and direction of the light, shade of what is turned away, shadows"
     quantities = {  # noqa: RUF012
         "stops": Quantity(
             "EV", (0.25, 0.5, 0.75, 1.0, 1.5), "brighter or darker, a factor of 2 per EV"
@@ -29,6 +29,11 @@ class LightAxis(Perturbation):
         ),
         "side": Quantity(
             "", (0.1, 0.2, 0.3, 0.45, 0.6), "share of the light that comes from one side"
+        ),
+        "shadows": Quantity(
+            "",
+            (0, 0, 1, 1, 1),
+            "whether what stands in the way of the light from the side throws shadows",
         ),
     }
     needs = ("depth",)
@@ -60,7 +65,8 @@ class LightAxis(Perturbation):
             return
         table = _table(tuple(drawn.values["gain"]), drawn.amounts["side"])
         toward = np.array(drawn.values["from"]) @ frame.mat
-        relight(images["rgb"], images["depth"], frame.focal, toward, table)
+        shadows = bool(drawn.amounts["shadows"])
+        relight(images["rgb"], images["depth"], frame.focal, toward, table, shadows)
 
 
 @lru_cache(maxsize=EPISODES_KEPT)

@@ -70,6 +70,7 @@ def relight(
     focal: np.ndarray,
     toward: np.ndarray,
     table: np.ndarray,
+    shadows: bool,
 ) -> None:
     """Change the light of C images (C, h, w, 3) uint8.
 
@@ -79,11 +80,12 @@ def relight(
         focal: (C,) focal lengths [px].
         toward: (C, 3) unit vectors to the light in the axes of the cameras (x right, y up, z backwards).
         table: see `light_table`.
+        shadows: whether what the images show throws shadows on what they show.
     """
     from mjhab.envs.perturbations import kernels  # loads numba
 
     own = focal.astype(np.float32), toward.astype(np.float32)
-    kernels.relight(rgb, depth, *own, table)
+    kernels.relight(rgb, depth, *own, table, shadows)
 
 
 def recolour(rgb: np.ndarray, seg: np.ndarray, mixes: np.ndarray) -> None:

@@ -18,9 +18,12 @@ from mjhab.scenes.spec import IDENTITY, PARKED, Geom, Home, Placement
 
 FLOOR_HALF_THICKNESS = 0.02
 """Half the thickness of drawn floors [m]."""
-DRESSED_MATERIALS = {"cabinet_carcass": Material((0.30, 0.31, 0.31), gloss=0.1)}
-"""In pictures for people the edge of a carcass, seen through the gap of 4 mm between two fronts, is as dark as the
-shadow in there: ambient occlusion, with samples 3 cm apart, does not find it, and it would be a pale dotted line."""
+CARCASS = "cabinet_carcass"
+GAP = "gap between fronts"
+GAP_MATERIAL = Material((0.30, 0.31, 0.31), gloss=0.1)
+GAP_HALF_M = 0.00025
+"""In pictures for people the front edge of a carcass, seen through the gap of 4 mm between two fronts, is as dark as
+the shadow in there. Ambient occlusion, with samples 3 cm apart, does not find it: it would be a pale dotted line."""
 CEILING = Material((1.25, 1.25, 1.23), gloss=0.0)
 """Brighter than white: what faces down gets the ambient light of the underside of a shelf, a third of a ceiling's."""
 
@@ -33,8 +36,8 @@ def build_render_scene(
     Args:
         layout: robot, homes, furniture and objects.
         model: the compiled model of any home of the layout; gives the body ids, which all homes share.
-        dressed: for pictures that people look at: with ceilings, which are seen from below alone, and with
-            `DRESSED_MATERIALS`. Observations are drawn without.
+        dressed: for pictures that people look at: with ceilings, which are seen from below alone, and dark gaps
+            between the fronts of cupboards. Observations are drawn without.
     """
     # It takes a second for the built-in homes, and evaluations and tests open many environments of them.
     key = ("render scene", layout.roster, layout.robot, dressed)
@@ -45,18 +48,20 @@ def _build(layout: Layout, model: mujoco.MjModel, dressed: bool) -> RenderScene:
     homes = layout.pack.homes
     materials = {**MATERIALS, **layout.robot.materials}
     if dressed:
-        materials |= DRESSED_MATERIALS
+        materials[GAP] = GAP_MATERIAL
     builder = SceneBuilder(len(homes), materials)
     meshes = layout.pack.meshes
     _add_shell(builder, layout)
     for i, slot in enumerate(layout.prop_slots):
         at = [layout.slot_placements(home)[i] for home in homes]
-        _add_standing(
-            builder, layout.pack.props[slot.template].geoms, at, slot.name, meshes
-        )
+        geoms = layout.pack.props[slot.template].geoms
+        geoms += _gaps(geoms) if dressed else ()
+        _add_standing(builder, geoms, at, slot.name, meshes)
     for articulation in layout.articulations:
         at = [layout.articulation_placement(home, articulation.name) for home in homes]
-        _add_standing(builder, articulation.geoms, at, articulation.name, meshes)
+        geoms = articulation.geoms
+        geoms += _gaps(geoms) if dressed else ()
+        _add_standing(builder, geoms, at, articulation.name, meshes)
         for link in articulation.links:
             name = f"{articulation.name}/{link.name}"
             for geom in link.geoms:
@@ -123,6 +128,20 @@ def _add_standing(
     for geom in geoms:
         if geom.visual:
             builder.add_world_geom(geom, pos, quat, seg, present, meshes)
+
+
+def _gaps(geoms: Sequence[Geom]) -> tuple[Geom, ...]:
+    """Dark plates on the front edges, at +x, of what is a carcass among the geoms of a piece of furniture."""
+    return tuple(
+        Geom(
+            "box",
+            (GAP_HALF_M, geom.size[1], geom.size[2]),
+            (geom.pos[0] + geom.size[0] + GAP_HALF_M, *geom.pos[1:]),
+            material=GAP,
+        )
+        for geom in geoms
+        if geom.material == CARCASS and geom.visual
+    )
 
 
 def _add_ceilings(builder: SceneBuilder, homes: Sequence[Home]) -> None:

@@ -11,7 +11,7 @@ from mjhab.render.jit import kernel
 from mjhab.render.raster.arrays import Bodies, DrawingMemory, Lens
 from mjhab.render.raster.kernels import draw, read_depth, read_segments
 from mjhab.render.raster.nodes import Openness
-from mjhab.render.raster.occlusion import ambient_occlusion
+from mjhab.render.raster.occlusion import OcclusionCells, ambient_occlusion
 from mjhab.render.raster.shading import ShadeScratch, shade
 from mjhab.render.raster.sight import place_balls
 
@@ -43,16 +43,15 @@ class ViewBatch(NamedTuple):
 
 
 class ThreadBuffers(NamedTuple):
-    """Buffers of one thread: inverse (h, w) f32 and ids (h, w) i32 (the z-buffer, see `arrays`); raw, share, depths
-    (a, b) f32 of the ambient occlusion."""
+    """Buffers of one thread: inverse (h, w) f32 and ids (h, w) i32 (the z-buffer, see `arrays`); flat, ``inverse`` by
+    rows and a 0 behind the last pixel; cells of the ambient occlusion."""
 
     draw: DrawingMemory
     shade: ShadeScratch
     inverse: np.ndarray
     ids: np.ndarray
-    raw: np.ndarray
-    share: np.ndarray
-    depths: np.ndarray
+    flat: np.ndarray
+    cells: OcclusionCells
 
 
 @kernel
@@ -105,10 +104,8 @@ def draw_worlds(scenery, views, turn, near, cull, cell, stride, buffers):
             if views.seg.shape[1] > 0:
                 read_segments(inverse, ids, scenery.seg, views.seg[world, camera])
             if views.rgb.shape[1] > 0:
-                ambient_occlusion(
-                    inverse, cell, lens.focal, buffers.raw, buffers.share, buffers.depths
-                )
-                openness = Openness(buffers.share, buffers.depths, 1.0 / cell)
+                ambient_occlusion(inverse, buffers.flat, cell, lens.focal, buffers.cells)
+                openness = Openness(buffers.cells.share, buffers.cells.depths, 1.0 / cell)
                 shade(
                     scenery.surface,
                     poses,

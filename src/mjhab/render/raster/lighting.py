@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mjhab.render.jit import color_inline, color_kernel
+from mjhab.render.raster.occlusion import BORDER
 
 LAMP_REACH = 2.4
 """Distance [m] at which the light of a lamp has fallen to 0.35 of that at the lamp, by inverse-square falloff."""
@@ -47,6 +48,7 @@ NODE_ROWS = 19
 (
     X, Y, Z, NX, NY, NZ, VX, VY, VZ, GLOSS, OPEN, FACING, LIT, DR, DG, DB, SR, SG, SB,
 ) = (np.uint64(row * NODE_ROW) for row in range(NODE_ROWS))  # fmt: skip
+_BORDER = np.uint64(BORDER)
 _TINY = np.float32(1e-9)
 _FADE = np.float32(1.0 / LAMP_RANGE**4)
 _GAIN = np.float32(LAMP_GAIN)
@@ -223,8 +225,8 @@ def sky(lens, u, v, line, x):
 def blended_share(share, depths, row, col, depth):
     """Ambient openness at a position (row, col in cells): bilateral interpolation of ``share`` (a, b).
 
-    The four nearest cells are weighted by distance and by how well ``depths`` (a, b), inverse depth [1/m], matches
-    ``depth`` [m].
+    The four nearest cells are weighted by distance and by how well ``depths``, inverse depth [1/m] with a border of
+    `occlusion.BORDER` cells, matches ``depth`` [m].
     """
     zero = np.float32(0.0)
     one = np.float32(1.0)
@@ -242,7 +244,7 @@ def blended_share(share, depths, row, col, depth):
             y = np.uint64(min(i + r, height - 1))
             x = np.uint64(min(j + c, width - 1))
             w = (fy if r else one - fy) * (fx if c else one - fx) + np.float32(1e-3)
-            off = abs(depths[y, x] * depth - one)
+            off = abs(depths[y + _BORDER, x + _BORDER] * depth - one)
             w *= np.float32(1e-4) + max(zero, one - np.float32(20.0) * off)
             total += w * share[y, x]
             weight += w

@@ -26,8 +26,7 @@ from mjhab.render.raster.surfaces import normal_at, place_point
 
 
 class Openness(NamedTuple):
-    """Ambient occlusion: share, depths (a, b) f32 from `occlusion.ambient_occlusion`, or (0, 0) for none; cells: cells
-    per pixel."""
+    """Ambient occlusion: share and depths from `occlusion.OcclusionCells`; cells: cells per pixel."""
 
     share: np.ndarray
     depths: np.ndarray
@@ -62,9 +61,7 @@ def towards_camera(lens, u, v, nx, ny, nz):
 
 @color_inline
 def openness_at(openness, row, col, depth):
-    """Ambient openness 0..1 at a pixel of this depth [m]; 1 without ambient occlusion."""
-    if openness.share.shape[0] == 0:
-        return np.float32(1.0)
+    """Ambient openness 0..1 at a pixel of this depth [m]."""
     rows = (row + 0.5) * openness.cells
     cols = (col + 0.5) * openness.cells
     return blended_share(openness.share, openness.depths, rows, cols, depth)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from mjhab.render.jit import color_inline, color_kernel
@@ -31,6 +33,24 @@ def _disk() -> np.ndarray:
 DISK = _disk()
 _DISK_X, _DISK_Y = (np.ascontiguousarray(DISK[..., k], np.float32) for k in range(2))
 """(TURNS, TAPS) f32 each: the offsets along columns and rows."""
+BORDER = 2
+"""Cells without a surface around those of an image, so that the blur needs no test for edges."""
+MOST_POINTS = 1024
+"""Most points, middles of cells, whose occlusion is computed together."""
+VECTOR = 8
+"""Numbers that the processor computes with one instruction."""
+POINT_ROW = MOST_POINTS + 16
+"""Length of a row of ``points``, see `lighting.NODE_ROW`. The rows are column and row COL, ROW [px]; the unit normal
+NX, NY and the depth Z [m] of the point in the view frame; the rest of the normal NZ and of the position X, Y [m];
+REACH, the largest distance of its samples [px]; SEEN, the inverse depth at the current sample [1/m], 0 for none;
+BLOCKED, the sum of what they hide."""
+POINT_ROWS = 11
+COL, ROW, NX, NY, Z, NZ, X, Y, REACH, SEEN, BLOCKED = (
+    np.uint64(row * POINT_ROW) for row in range(POINT_ROWS)
+)
+_BORDER = np.uint64(BORDER)
+_TAPS = np.float32(TAPS)
+_TINY = np.float32(1e-9)
 _ZERO = np.float32(0.0)
 _HALF = np.float32(0.5)
 _ONE = np.float32(1.0)
@@ -45,6 +65,38 @@ _OF_HEIGHT = np.float32(0.2)
 """Largest distance of a sample on screen, as a share of the image's height."""
 _ALIKE = np.float32(0.05)
 """Relative difference of depth up to which the blur takes cells for one surface."""
+
+
+class OcclusionCells(NamedTuple):
+    """Ambient occlusion of a x b cells, and working memory of one thread.
+
+    Attributes:
+        share: (a, b) f32, openness 0.15..1 (1: not occluded).
+        depths: (a + 4, b + 4) f32, inverse depth of each cell's middle pixel [1/m], 0 in the `BORDER`.
+        raw: (a + 4, b + 4) f32, occlusion before the blur.
+        points: f32, see `POINT_ROW`; where: (MOST_POINTS, 2) i64, their places in ``raw``; found: (MOST_POINTS,) i32,
+            the pixels of their samples.
+    """
+
+    share: np.ndarray
+    depths: np.ndarray
+    raw: np.ndarray
+    points: np.ndarray
+    where: np.ndarray
+    found: np.ndarray
+
+
+def make_cells(rows: int, columns: int) -> OcclusionCells:
+    """Allocate the memory for an image of this many cells."""
+    padded = (rows + 2 * BORDER, columns + 2 * BORDER)
+    return OcclusionCells(
+        np.empty((rows, columns), np.float32),
+        np.zeros(padded, np.float32),
+        np.zeros(padded, np.float32),
+        np.empty(POINT_ROWS * POINT_ROW, np.float32),
+        np.empty((MOST_POINTS, 2), np.int64),
+        np.empty(MOST_POINTS, np.int32),
+    )
 
 
 @color_inline
@@ -66,79 +118,151 @@ def _slope(inverse, y, x, dy, dx):
 
 
 @color_inline
-def _blocked(inverse, y, x, focal, turn):
-    """Occlusion 0..1 of one pixel, without the factor `STRENGTH`; ``turn`` is its sample pattern.
+def _face_points(inverse, focal, points, count):
+    """Compute the normals and positions of the first ``count`` points of one sample pattern, and how far they look.
 
-    The loop over samples has no branches and no stores and is float32, so that the compiler computes several at a time.
+    Before, row Z holds the inverse depth of each point, and NX and NY its changes per column and row.
     """
     height, width = inverse.shape
     cx = _HALF * np.float32(width)
     cy = _HALF * np.float32(height)
     focal_inv = _ONE / focal
-    w = inverse[y, x]
-    gx = _slope(inverse, y, x, 0, 1)
-    gy = _slope(inverse, y, x, 1, 0)
-    from_x = np.float32(x) + _HALF
-    from_y = np.float32(y) + _HALF
-    u = from_x - cx
-    v = from_y - cy
-    nx = -gx * focal
-    ny = -gy * focal
-    nz = -(w - gx * u - gy * v)
-    inv = _ONE / np.sqrt(nx * nx + ny * ny + nz * nz + _LEAST)
-    nx = nx * inv
-    ny = ny * inv
-    nz = nz * inv
-    z = _ONE / w
-    px = u * focal_inv * z
-    py = v * focal_inv * z
-    reach = min(_RADIUS * focal * w, _OF_HEIGHT * np.float32(height))
-    last_col = np.int32(width - 1)
-    last_row = np.int32(height - 1)
-    total = _ZERO
-    for k in range(np.uint64(TAPS)):
-        col = np.int32(from_x + reach * _DISK_X[turn, k])
-        row = np.int32(from_y + reach * _DISK_Y[turn, k])
-        inner_col = min(max(col, np.int32(0)), last_col)
-        inner_row = min(max(row, np.int32(0)), last_row)
-        found = inverse[np.uint64(inner_row), np.uint64(inner_col)]
-        counts = (col == inner_col) & (row == inner_row) & (found > _ZERO)
-        qz = _ONE / (found if counts else _ONE)
-        dx = (np.float32(col) + _HALF - cx) * focal_inv * qz - px
-        dy = (np.float32(row) + _HALF - cy) * focal_inv * qz - py
+    for n in range(np.uint64(count)):
+        w = points[n + Z]
+        gx = points[n + NX]
+        gy = points[n + NY]
+        u = points[n + COL] - cx
+        v = points[n + ROW] - cy
+        nx = -gx * focal
+        ny = -gy * focal
+        nz = -(w - gx * u - gy * v)
+        inv = _ONE / np.sqrt(nx * nx + ny * ny + nz * nz + _LEAST)
+        z = _ONE / w
+        points[n + NX] = nx * inv
+        points[n + NY] = ny * inv
+        points[n + NZ] = nz * inv
+        points[n + X] = u * focal_inv * z
+        points[n + Y] = v * focal_inv * z
+        points[n + Z] = z
+        points[n + REACH] = min(_RADIUS * focal * w, _OF_HEIGHT * np.float32(height))
+        points[n + BLOCKED] = _ZERO
+
+
+@color_inline
+def _add_samples(shape, flat, focal, off_x, off_y, cells, count):
+    """Add to row BLOCKED what the sample at (off_x, off_y) of the pattern hides from each of the points.
+
+    The outer loops are float32 and have neither branches nor reads at computed places: only so the compiler computes
+    eight points at a time.
+    """
+    height, width = shape
+    points = cells.points
+    found = cells.found
+    cx = _HALF * np.float32(width)
+    cy = _HALF * np.float32(height)
+    focal_inv = _ONE / focal
+    columns = np.int32(width)
+    rows = np.int32(height)
+    outside = rows * columns
+    every = range(np.uint64(count))
+    for n in every:
+        reach = points[n + REACH]
+        col = np.int32(points[n + COL] + reach * off_x)
+        row = np.int32(points[n + ROW] + reach * off_y)
+        inside = (col >= 0) & (col < columns) & (row >= 0) & (row < rows)
+        found[n] = row * columns + col if inside else outside
+    for n in every:
+        points[n + SEEN] = flat[np.uint64(found[n])]
+    for n in every:
+        reach = points[n + REACH]
+        col = np.float32(np.int32(points[n + COL] + reach * off_x))
+        row = np.float32(np.int32(points[n + ROW] + reach * off_y))
+        seen = points[n + SEEN]
+        qz = _ONE / max(seen, _TINY)
+        z = points[n + Z]
+        dx = (col + _HALF - cx) * focal_inv * qz - points[n + X]
+        dy = (row + _HALF - cy) * focal_inv * qz - points[n + Y]
         dz = qz - z
         square = dx * dx + dy * dy + dz * dz
-        rise = max(dx * nx + dy * ny + dz * nz - _BIAS * z, _ZERO)
+        above = dx * points[n + NX] + dy * points[n + NY] + dz * points[n + NZ]
+        rise = max(above - _BIAS * z, _ZERO)
         fade = max(_ONE - square / (_RADIUS * _RADIUS), _ZERO)
         blocked = rise / np.sqrt(square + _SOFTEN) * fade
-        total += blocked if counts else _ZERO
-    return total / np.float32(TAPS)
+        points[n + BLOCKED] += blocked if seen > _ZERO else _ZERO
+
+
+@color_inline
+def _sample(inverse, flat, focal, turn, cells, count):
+    """Write the occlusion 0..1, without the factor `STRENGTH`, of the first ``count`` points into ``cells.raw``.
+
+    All have the sample pattern ``turn``.
+    """
+    points = cells.points
+    # Copies of the last point fill the processor's vectors: a loop over what is left over would be slower.
+    padded = (count + VECTOR - 1) // VECTOR * VECTOR
+    for n in range(count, padded):
+        for r in range(5):
+            points[POINT_ROW * r + n] = points[POINT_ROW * r + count - 1]
+    _face_points(inverse, focal, points, padded)
+    for k in range(TAPS):
+        off_x = _DISK_X[turn, k]
+        off_y = _DISK_Y[turn, k]
+        _add_samples(inverse.shape, flat, focal, off_x, off_y, cells, padded)
+    for n in range(count):
+        cells.raw[cells.where[n, 0], cells.where[n, 1]] = points[n + BLOCKED] / _TAPS
+
+
+@color_inline
+def _blur(cells):
+    """Fill ``cells.share`` from the occlusion of 4 x 4 cells around each, as far as they are at its depth."""
+    height, width = cells.share.shape
+    raw = cells.raw
+    depths = cells.depths
+    for i in range(np.uint64(height)):
+        for j in range(np.uint64(width)):
+            middle = depths[i + _BORDER, j + _BORDER]
+            total = _ZERO
+            weight = _TINY
+            for y in range(np.uint64(4)):
+                for x in range(np.uint64(4)):
+                    alike = abs(depths[i + y, j + x] - middle) < _ALIKE * middle
+                    total += raw[i + y, j + x] if alike else _ZERO
+                    weight += _ONE if alike else _ZERO
+            cells.share[i, j] = max(_ONE - _STRENGTH * total / weight, _MOST_SHADE)
 
 
 @color_kernel
-def ambient_occlusion(inverse, step, focal, raw, share, depths):
-    """Fill ``share`` (a, b) f32 with the openness 0.15..1 (1: not occluded) of cells of ``step`` x ``step`` pixels.
+def ambient_occlusion(inverse, flat, step, focal, cells):
+    """Fill ``share`` and ``depths`` of ``cells``, see `OcclusionCells`, for cells of ``step`` x ``step`` pixels.
 
-    ``inverse`` (h, w) f32 is the inverse depth [1/m] and ``focal`` its camera's focal length [px]. ``depths`` (a, b)
-    f32 gets the inverse depth of each cell's middle pixel; ``raw`` (a, b) f32 is scratch.
+    ``inverse`` (h, w) f32 is the inverse depth [1/m], ``flat`` the same by rows and a 0 behind the last, and ``focal``
+    its camera's focal length [px].
     """
-    height, width = share.shape
+    height, width = cells.share.shape
+    points = cells.points
     focal = np.float32(focal)
-    for i in range(height):
-        for j in range(width):
+    for turn in range(TURNS):
+        count = 0
+        for i in range(turn >> 2, height, 4):
             y = min(i * step + step // 2, inverse.shape[0] - 1)
-            x = min(j * step + step // 2, inverse.shape[1] - 1)
-            depths[i, j] = inverse[y, x]
-            raw[i, j] = 0.0
-            if inverse[y, x] > 0.0:
-                raw[i, j] = _blocked(inverse, y, x, focal, (i & 3) * 4 + (j & 3))
-    for i in range(height):
-        for j in range(width):
-            total = _ZERO
-            weight = np.float32(1e-9)
-            for y in range(max(i - 2, 0), min(i + 2, height)):
-                for x in range(max(j - 2, 0), min(j + 2, width)):
-                    if abs(depths[y, x] - depths[i, j]) < _ALIKE * depths[i, j]:
-                        total += raw[y, x]
-                        weight += _ONE
-            share[i, j] = max(_ONE - _STRENGTH * total / weight, _MOST_SHADE)
+            for j in range(turn & 3, width, 4):
+                x = min(j * step + step // 2, inverse.shape[1] - 1)
+                w = inverse[y, x]
+                cells.depths[i + BORDER, j + BORDER] = w
+                cells.raw[i + BORDER, j + BORDER] = _ZERO
+                if w <= _ZERO:
+                    continue
+                points[count + COL] = np.float32(x) + _HALF
+                points[count + ROW] = np.float32(y) + _HALF
+                points[count + NX] = _slope(inverse, y, x, 0, 1)
+                points[count + NY] = _slope(inverse, y, x, 1, 0)
+                points[count + Z] = w
+                cells.where[count, 0] = i + BORDER
+                cells.where[count, 1] = j + BORDER
+                count += 1
+                if count == MOST_POINTS:
+                    _sample(inverse, flat, focal, turn, cells, count)
+                    count = 0
+        if count > 0:
+            _sample(inverse, flat, focal, turn, cells, count)
+    _blur(cells)

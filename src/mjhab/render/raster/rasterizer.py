@@ -21,7 +21,7 @@ from mjhab.render.raster.batch import ThreadBuffers, ViewBatch, draw_worlds
 from mjhab.render.raster.kernels import draw, read_depth, read_segments
 from mjhab.render.raster.lighting import SHADOW_SLOPE
 from mjhab.render.raster.nodes import Openness
-from mjhab.render.raster.occlusion import ambient_occlusion
+from mjhab.render.raster.occlusion import ambient_occlusion, make_cells
 from mjhab.render.raster.scenery import make_scenery
 from mjhab.render.raster.shading import make_shade_scratch, shade
 from mjhab.render.raster.sight import place_balls
@@ -343,13 +343,14 @@ class Rasterizer:
         key = (height, width, cell)
         if key not in kept:
             count = len(self.scene.instance_mesh)
-            cells = (-(-height // cell), -(-width // cell))
+            flat = np.zeros(height * width + 1, np.float32)
             kept[key] = ThreadBuffers(
                 make_scratch(self._scenery.geometry, count),
                 make_shade_scratch(count, width),
-                np.empty((height, width), np.float32),
+                flat[:-1].reshape(height, width),
                 np.empty((height, width), np.int32),
-                *(np.empty(cells, np.float32) for _ in range(3)),
+                flat,
+                make_cells(-(-height // cell), -(-width // cell)),
             )
             if len(kept) > SIZES_KEPT:
                 kept.popitem(last=False)
@@ -392,10 +393,8 @@ class Rasterizer:
         how = picture.quality
         cell = how.cell * how.samples
         lamps = s.lamps
-        openness = Openness(buffers.share, buffers.depths, 1.0 / cell)
-        ambient_occlusion(
-            buffers.inverse, cell, lens.focal, buffers.raw, buffers.share, buffers.depths
-        )
+        openness = Openness(buffers.cells.share, buffers.cells.depths, 1.0 / cell)
+        ambient_occlusion(buffers.inverse, buffers.flat, cell, lens.focal, buffers.cells)
         if how.shadows:
             drawn = buffers.draw.drawn.copy()
             lamps = lamps._replace(shadow=self._lamp_maps(shot, buffers))

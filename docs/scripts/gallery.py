@@ -1,7 +1,7 @@
-"""Make the gallery of path-traced pictures: ``python docs/scripts/gallery.py --assets FOLDER [--into docs/media]``.
+"""Make gallery and film of the path tracer: ``python docs/scripts/gallery.py --assets FOLDER [--into docs/media]``.
 
 On the left what the rasterizer draws, on the right the path tracer from the same place. Single pictures are kept in
-``--scratch`` and not drawn again. Half an hour on two cores.
+``--scratch`` and not drawn again.
 """
 
 from __future__ import annotations
@@ -15,9 +15,14 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
+import mjhab
 from mjhab.cli.main import main as command
 from mjhab.evaluation.evaluate import run_evaluation
+from mjhab.evaluation.shots.shoot import Studio
+from mjhab.evaluation.shots.spec import ShotSpec
+from mjhab.evaluation.shots.takes import open_take
 from mjhab.evaluation.specs import EvalSpec
+from mjhab.render.pictures.captions import with_words
 from mjhab.rollout.sinks import Sink, StepView
 
 LIGHTS = ("midday", "midday", "evening", "evening")
@@ -36,6 +41,10 @@ SIZE = (480, 300)
 """Width and height of a picture [px]."""
 SAMPLES = "8"
 QUALITY = 72
+FRAMES = 124
+FILM_SIZE = (480, 270)
+FILM_SAMPLES = 2
+FILM_QUALITY = 50
 
 
 class _SeenError(Exception):
@@ -97,6 +106,27 @@ def home_pair(scratch: Path, home: str, light: str, assets: Sequence[str]) -> np
     return _beside(paths)
 
 
+def film(scratch: Path, path: Path) -> None:
+    """An animation of a whole SetTable by the path tracer, with the camera and the sentences of films."""
+    shard = scratch / "set_table"
+    if not shard.exists():
+        mjhab.generate("expert", task="set_table", episodes=1, out=shard)
+    spec = ShotSpec.of(
+        place=shard, env={"shader": "path", "shading": {"samples": FILM_SAMPLES}}
+    )
+    take = open_take(spec)
+    try:
+        frames = [
+            Image.fromarray(with_words(image, take.sentences[step]))
+            for step, image, _ in Studio(spec, take).stills(0, FRAMES, FILM_SIZE)
+        ]
+    finally:
+        take.env.close()
+    more = {"save_all": True, "append_images": frames[1:], "duration": 100, "loop": 0}
+    frames[0].save(path, quality=FILM_QUALITY, method=6, **more)
+    print(f"{path}: {path.stat().st_size / 1e3:,.0f} kB")
+
+
 def _beside(paths: Sequence[Path]) -> np.ndarray:
     return np.concatenate(
         [np.asarray(Image.open(path).convert("RGB")) for path in paths], axis=1
@@ -133,6 +163,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     _save(subtasks, asked.into / "gallery_subtasks.webp")
     tasks = [expert_pair(scratch, step, task=task) for task, step in TASKS.items()]
     _save(tasks, asked.into / "gallery_tasks.webp")
+    film(scratch, asked.into / "set_table_path.webp")
 
 
 if __name__ == "__main__":

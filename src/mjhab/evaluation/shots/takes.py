@@ -29,7 +29,6 @@ from mjhab.evaluation.recorded import recorded_env
 from mjhab.evaluation.shots.spec import ShotSpec, check_step, no_episode
 from mjhab.evaluation.specs import EvalSpec
 from mjhab.rollout.loop import rollout
-from mjhab.rollout.policy import RolloutEnv
 from mjhab.rollout.sinks import Sink, StepView
 from mjhab.rollout.store import EPISODES_FILE, read_records
 
@@ -131,7 +130,7 @@ class _Enough(Exception):
     """The step that is asked for was reached."""
 
 
-class _StateKeeper(Sink[RolloutEnv]):
+class _StateKeeper(Sink["SequentialTaskEnv"]):
     """Keeps states, targets and sentences of the one episode that runs, up to a step."""
 
     def __init__(self, until: int | None) -> None:
@@ -141,15 +140,17 @@ class _StateKeeper(Sink[RolloutEnv]):
         self.home = ""
         self._until = until
 
-    def on_reset(self, env: Any, info: Mapping[str, Any], mask: np.ndarray) -> None:
+    def on_reset(
+        self, env: SequentialTaskEnv, info: Mapping[str, Any], mask: np.ndarray
+    ) -> None:
         self._keep(env, info)
 
-    def on_step(self, env: Any, step: StepView) -> None:
+    def on_step(self, env: SequentialTaskEnv, step: StepView) -> None:
         self._keep(env, step.info)
         if self._until is not None and len(self.qpos) > self._until:
             raise _Enough
 
-    def _keep(self, env: Any, info: Mapping[str, Any]) -> None:
+    def _keep(self, env: SequentialTaskEnv, info: Mapping[str, Any]) -> None:
         self.home = env.homes[0]
         self.qpos.append(env.sim.get_world(0)["qpos"].copy())
         self.targets.append(scene_of(env, 0).target)

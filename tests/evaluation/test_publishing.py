@@ -84,6 +84,20 @@ def test_every_episode_up_to_the_last_is_in_one_subset(made: MadeDataset) -> Non
     assert {e.record.success_once for e in entries(places[1])} == {True}
 
 
+def test_mishaps_on_purpose_are_no_demonstrations(tmp_path: Path) -> None:
+    spec = spec_of(tmp_path, policy="expert", recoveries=0.25)
+    for row in spec.chosen().values():
+        asked = spec.generation(row)
+        assert asked.style == ("mishap=0.25",) and asked.preset is None
+        assert asked.keep == f"({KEEP}) and style.mishap == 0"
+    paper = spec_of(tmp_path, policy="expert", recoveries=0.25, keep=None)
+    keeps = [paper.generation(row).keep for row in paper.chosen().values()]
+    assert "straightforward_success" in keeps[0] and "closed_success" in keeps[1]
+    assert all(keep.endswith("and style.mishap == 0") for keep in keeps)
+    with refused("--recoveries", 0.25, advice="It keeps demonstrations alone."):
+        spec_of(tmp_path, recoveries=0.25, failures=False)
+
+
 def test_no_home_is_in_two_splits(made: MadeDataset) -> None:
     splits = read_json_object(made.path / "splits.json")
     val, train = set(splits["val"]["homes"]), set(splits["train"]["homes"])

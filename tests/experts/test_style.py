@@ -63,6 +63,44 @@ def test_styles_do_not_depend_on_the_worlds():
     assert len({r.style["speed"] for r in many}) == 3
 
 
+def test_a_mishap_opens_the_hand_and_is_not_intended():
+    columns = ROBOT.action
+    noise = ActionNoise(Style(mishap=1.0), columns, np.random.default_rng(0))
+    closing = np.zeros(columns.dim, np.float32)
+    closing[columns.gripper] = -1.0
+    opened = 1.0 * closing
+    opened[columns.gripper] = 1.0
+    before = [noise.disturb(opened) for _ in range(20)]
+    assert all(np.array_equal(each, opened) for each in before)
+    executed = np.array([noise.disturb(closing) for _ in range(60)])
+    hit = executed[:, columns.gripper] > 0
+    assert (
+        np.flatnonzero(hit)[0] >= 7
+        and hit.sum() == 8
+        and np.ptp(np.flatnonzero(hit)) == 7
+    )
+    assert np.abs(executed[hit][:, columns.arm]).max() > 0.05
+    np.testing.assert_array_equal(executed[~hit], np.tile(closing, (52, 1)))
+
+
+def test_a_chance_is_drawn_as_one_or_zero():
+    styles = Styles.parse(("mishap=0.25",))
+    drawn = [styles.draw(0, index).mishap for index in range(400)]
+    assert set(drawn) == {0.0, 1.0} and 70 < sum(drawn) < 130
+    assert styles.words == ["mishap=0.25"]
+
+
+def test_after_a_mishap_the_expert_picks_up_again():
+    struck = records("pick", "mishap=1", worlds=2, episodes=(0, 1))
+    again = [
+        record
+        for record in struck
+        if record.success_once and sum(name == "grasped" for _, name in record.events) > 1
+    ]
+    assert again and all(record.style["mishap"] == 1.0 for record in struck)
+    assert "straightforward_success" not in labels(again)
+
+
 def test_dropped_objects_are_labelled_so():
     placed = labels(records("place"))
     dropped = labels(records("place", "release=drop"))

@@ -13,6 +13,7 @@ from mjhab.envs.parts.world_view import WorldView
 from mjhab.envs.parts.worlds import PolicyWorlds
 from mjhab.episodes.grasps.candidates import KINDS, Grasps
 from mjhab.experts.arm import motion
+from mjhab.experts.mishap import Mishap
 from mjhab.robots.parts import ActionColumns
 from mjhab.tasks.style import ANY, BURSTS, PLAIN, SMOOTH, VISIBLE, Style
 
@@ -88,6 +89,7 @@ class ActionNoise:
         self._base = [columns.base_forward, columns.base_yaw]
         self._random = random
         self._phase = 1.0
+        self._mishap = Mishap(columns, random) if style.mishap else None
         self._noise = np.zeros(self._columns.dim)
         self._in_burst = False
         self._stretch = 0
@@ -120,7 +122,11 @@ class ActionNoise:
         return out
 
     def disturb(self, intended: np.ndarray) -> np.ndarray:
-        """Executed action (A,) float32: ``intended`` (A,) plus noise, except for the gripper."""
+        """Executed action (A,) float32: ``intended`` (A,) plus noise, except for the gripper; or that of a mishap."""
+        executed = self._noisy(intended)
+        return self._mishap.befall(intended, executed) if self._mishap else executed
+
+    def _noisy(self, intended: np.ndarray) -> np.ndarray:
         style = self.style
         if not (style.noise or style.base_noise):
             return intended

@@ -154,10 +154,22 @@ class Style:
             "about": "std on the arm while it holds; 1 is a whole action",
         },
     )
+    mishap: float = field(
+        default=0.0,
+        metadata={
+            "low": 0.0,
+            "high": 1.0,
+            "chance": True,
+            "about": "how likely the hand once opens and the arm is pushed aside, whatever is intended; in the "
+            "record 1 where it does",
+        },
+    )
 
 
 PLAIN = Style()
 NAMES: tuple[str, ...] = tuple(f.name for f in fields(Style))
+CHANCES = frozenset(f.name for f in fields(Style) if f.metadata.get("chance"))
+"""Fields that are 0 or 1 in an episode; a distribution tells how likely 1 is."""
 
 
 @dataclass(frozen=True)
@@ -208,7 +220,8 @@ class Styles:
             elif isinstance(values[0], int):
                 drawn[name] = int(random.integers(values[0], values[-1] + 1))
             else:
-                drawn[name] = round(float(random.uniform(values[0], values[-1])), 4)
+                value = round(float(random.uniform(values[0], values[-1])), 4)
+                drawn[name] = float(random.random() < value) if name in CHANCES else value
         return Style(**drawn)
 
     @property

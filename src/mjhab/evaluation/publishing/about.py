@@ -141,8 +141,11 @@ def describe(
             name: _counts(each) for name, each in sorted(found.targets.items())
         },
         "subsets": {
-            DEMONSTRATIONS: spec.generation(next(iter(spec.chosen().values()))).keep
-            or "as in the paper's data: presets pick_paper, place_paper, open_paper, close_paper",
+            DEMONSTRATIONS: (
+                spec.keep
+                or "as in the paper's data: presets pick_paper, place_paper, open_paper, close_paper"
+            )
+            + ("; no mishap on purpose" if spec.recoveries else ""),
             **SUBSETS,
         },
         "splits": {name: each for name, each in splits.items() if name != "by"},

@@ -154,6 +154,8 @@ def _config(spec: DatasetSpec) -> dict[str, Any]:
     asked = spec.asked
     kept = ("track", "keep", "until", "failures", "images", "camera_size", "rgb")
     config = {name: getattr(spec, name) for name in (*kept, *sorted(SetFolder.FREE_KEYS))}
+    if spec.recoveries:
+        config["recoveries"] = spec.recoveries
     config |= {"policy": str(spec.policy), "style": list(spec.style)}
     named = ("profile", "assets", "seed", "randomise")
     return config | {name: recorded_value(asked, name) for name in named}

@@ -9,10 +9,11 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 from mjhab.config.env_spec import EnvSpec, env_options
 from mjhab.config.profiles import MS_HAB
-from mjhab.core.errors import unknown_name
+from mjhab.core.errors import unknown_name, wrong_value
 from mjhab.core.typed.bounds import Bound, Output, Positive
 from mjhab.core.typed.flags import Flag
 from mjhab.core.typed.options import take_options
+from mjhab.data.select.query import PRESETS
 from mjhab.evaluation.specs import GenerateSpec, PolicyName
 
 if TYPE_CHECKING:
@@ -72,6 +73,9 @@ class DatasetSpec(EnvSpec):
     failures: bool = True
     """Keep what was tried and is no demonstration, too: failures, and successes after a mishap (recoveries), each in a
     subset of its own."""
+    recoveries: Annotated[float, Bound(most=1.0)] = 0.0
+    """Share of the tried episodes in which the expert has a mishap on purpose: its hand opens, its arm is pushed. They
+    are no demonstrations; those that succeed all the same are the subset recoveries."""
     held_out: Annotated[float, Bound(most=0.5)] = 0.1
     """Share of the demonstrations whose homes are held out as the split val."""
     images: Annotated[str, Flag(metavar="none|depth|rgb|rgbd|seg")] = "rgbd"
@@ -108,6 +112,13 @@ class DatasetSpec(EnvSpec):
         super().__post_init__()
         if self.track not in TRACKS:
             raise unknown_name("track", self.track, TRACKS)
+        if self.recoveries and not self.failures:
+            raise wrong_value(
+                "--recoveries",
+                self.recoveries,
+                "0 with --no-failures",
+                "It keeps demonstrations alone.",
+            )
         self.chosen()
         for row in self.chosen().values():
             self.generation(row)
@@ -145,14 +156,20 @@ class DatasetSpec(EnvSpec):
             "target": row.target,
             "split": "train",
         }
+        preset = f"{row.subtask}_paper"
+        keep = self.keep
+        style = self.style
+        if self.recoveries:
+            style = (*style, f"mishap={self.recoveries}")
+            keep = f"({keep or PRESETS[preset][0]}) and style.mishap == 0"
         return GenerateSpec(
             out=self.folder(row),
             policy=self.policy,
-            style=self.style,
+            style=style,
             per_target=self.per_target,
             episodes=self.episodes,
-            keep=self.keep,
-            preset=None if self.keep else f"{row.subtask}_paper",
+            keep=keep,
+            preset=None if keep else preset,
             rest=self.rest(row) if self.failures else None,
             until="" if self.until == HORIZON else self.until,
             env=env,

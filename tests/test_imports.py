@@ -57,6 +57,7 @@ HEAVY: dict[str, frozenset[str]] = {
         {"sim", "render", "envs", "data", "learning", "integrations", "paper", "compat"}
     ),
     "safetensors": frozenset({"learning"}),
+    "onnxruntime": frozenset({"learning"}),
     "mitsuba": frozenset({"render"}),
     "mitsuba_oidn": frozenset({"render"}),
     "drjit": frozenset({"render"}),

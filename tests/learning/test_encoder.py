@@ -44,9 +44,11 @@ from mjhab.learning.shipped_kind import shipped
 from mjhab.learning.students.heads import check_student
 from mjhab.rollout.loop import rollout
 from mjhab.rollout.policy import Policy, RandomPolicy
+from tests.onnx_file import HAS_ONNX, tiny_backbone
 from tests.refusals import refused
 
 SIZE = 16
+FROZEN = "frozen features"
 STEPS = 9
 WORLDS = 2
 TARGET = "kitchen_counter/drawer3"
@@ -78,6 +80,10 @@ def all_inputs() -> dict[str, InputConfig]:
     found["colours alone"] = InputConfig(images="rgb", target_views=True)
     found["colours and depth"] = InputConfig(history=2, images="rgbd", target_views=True)
     found["views of the target alone"] = InputConfig(whole_views=False, target_views=True)
+    if HAS_ONNX:
+        found[FROZEN] = InputConfig(
+            history=2, whole_views=False, condition=True, backbone="tiny.onnx"
+        )
     small = {
         name: dataclasses.replace(inputs, image_size=SIZE if inputs.cameras else 0)
         for name, inputs in found.items()
@@ -174,8 +180,13 @@ def watched(
         threads=1,
         autoreset="disabled",
     )
+    backbone = str(tiny_backbone(tmp_path_factory.mktemp("frozen") / "tiny.onnx"))
     specs = {
-        name: observation_spec_of(env, inputs, (TARGET,))
+        name: observation_spec_of(
+            env,
+            dataclasses.replace(inputs, backbone=backbone) if name == FROZEN else inputs,
+            (TARGET,),
+        )
         for name, inputs in INPUTS.items()
     }
     acting: Policy = RandomPolicy(3)
@@ -286,7 +297,8 @@ def test_the_presets_use_every_part_but_those_that_a_recording_lacks() -> None:
         for part in VECTOR_PARTS
         if any(part.used(inputs) for inputs in INPUTS.values())
     }
-    assert {part.name for part in VECTOR_PARTS} - used == {"link_state"}
+    lacking = {"link_state"} if HAS_ONNX else {"link_state", "backbone"}
+    assert {part.name for part in VECTOR_PARTS} - used == lacking
 
 
 def test_conditioning_parts_follow_the_normalized_ones() -> None:

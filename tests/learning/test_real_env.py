@@ -33,6 +33,7 @@ from mjhab.reports import students as students_report
 from mjhab.robots.registry import ROBOTS, robot_named
 from mjhab.tasks.plan import GOAL_OF
 from tests.learning.small import config, train_in
+from tests.onnx_file import HAS_ONNX, tiny_backbone
 from tests.refusals import refused
 
 BOXY = Path(__file__).parents[2] / "examples" / "robot" / "boxy.py"
@@ -56,7 +57,9 @@ def env_of(scene: Scene, worlds: int = 1) -> dict[str, Any]:
 def run(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, ImitationSpec]:
     torch.set_num_threads(1)
     out = tmp_path_factory.mktemp("run")
-    student = config(inputs=INPUTS, demos=1, updates=2, hold_steps=HOLD_STEPS)
+    given = tiny_backbone(tmp_path_factory.mktemp("frozen") / "tiny.onnx")
+    inputs = dataclasses.replace(INPUTS, backbone=str(given) if HAS_ONNX else "")
+    student = config(inputs=inputs, demos=1, updates=2, hold_steps=HOLD_STEPS)
     dagger = DaggerConfig(
         rounds=1, episodes=1, updates=2, first_prefix=4, horizon=220, final_updates=1
     )

@@ -94,9 +94,10 @@ class BatchSampler:
         ]
         xp = namespace(parts[0].vector)
         images = xp.concat([part.images for part in parts])
-        if inputs.shift and math.prod(images.shape):
+        seen = math.prod(images.shape)
+        if inputs.shift and seen:
             images = shift_images(images, inputs.shift, stream(self._seed, "shift", step))
-        if inputs.colour_shift:
+        if inputs.colour_shift and seen:
             random = stream(self._seed, "colours", step)
             images = shift_colours(images, inputs, random)
         return Chunks(

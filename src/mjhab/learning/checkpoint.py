@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
@@ -24,6 +24,7 @@ from mjhab.core.typed.options import read_record
 from mjhab.core.version import __version__
 from mjhab.learning.compact import compacted, expanded
 from mjhab.learning.configs import StudentConfig, student_from_plain, to_plain
+from mjhab.learning.observation.backbone import find_backbone
 from mjhab.learning.observation.spec import ObservationSpec
 from mjhab.learning.runs.run import STUDENT
 from mjhab.learning.students.heads import make_student
@@ -77,7 +78,8 @@ def load_checkpoint(path: Path) -> Checkpoint:
     """Read a student file or a training file.
 
     Raises:
-        UsageError: the file does not exist, is not such a checkpoint, or holds numbers that are not finite.
+        UsageError: the file does not exist, is not such a checkpoint, or holds numbers that are not finite; or its
+            backbone is not found.
     """
     if not is_file(path):
         raise fault(
@@ -100,11 +102,17 @@ def load_checkpoint(path: Path) -> Checkpoint:
         config = student_from_plain(described["student"])
         layout = ObservationSpec.from_plain(config.inputs, described["layout"])
         about = read_record(dict[str, Any], head.get("about", {}), "about")
+        if bool(config.inputs.backbone) != (layout.backbone is not None):
+            raise ValueError("it tells of a backbone in one of two places alone")
     except UsageError as error:
         raise fault(path, str(error)) from error
     except ValueError as error:
         raise fault(path, f"damaged: its header is no student's ({error})") from error
     check_finite(path, tensors)
+    if layout.backbone:
+        found = find_backbone(path, config.inputs.backbone, layout.backbone)
+        config = replace(config, inputs=replace(config.inputs, backbone=found))
+        layout = replace(layout, inputs=config.inputs)
     return Checkpoint(config, layout, about, tensors)
 
 

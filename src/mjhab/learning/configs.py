@@ -56,6 +56,9 @@ class InputConfig:
     `observation.parts.TargetInHand`; a function of the state.
     condition: one-hot of the active subtask and of the type of its target.
     sentence: the instruction of the active subtask as a bag of words, see `observation.sentences.encode_sentence`.
+    backbone: a pretrained image network, an ONNX file, whose features of the colour images of the cameras the student
+    sees; they are computed once per image and stay as they are, see `observation.backbone`. Without whole_views and
+    target_views they are all that it sees of the images.
     normalize: normalize to mean 0 and standard deviation 1 with the statistics of the first demonstrations.
     shift: largest random shift of training images [px].
     colour_shift: largest random change of the brightness of training images, and of each of their colours [share]:
@@ -75,6 +78,8 @@ class InputConfig:
     target_views: bool = False
     condition: bool = True
     sentence: bool = False
+    backbone: str = field(default="", compare=False)
+    """Where the file lies is no part of what a student sees: its hash is, in the layout."""
     normalize: bool = True
     shift: FromZero = 1
     colour_shift: Annotated[float, Bound(0.0, 0.9)] = 0.0
@@ -82,12 +87,19 @@ class InputConfig:
     def __post_init__(self) -> None:
         if self.images not in IMAGE_CONTENTS:
             raise unknown_name("images", self.images, IMAGE_CONTENTS)
-        if self.cameras and not (self.whole_views or self.target_views):
+        if self.cameras and not (self.whole_views or self.target_views or self.backbone):
             raise wrong_value(
                 "inputs.cameras",
                 self.cameras,
-                "left out without inputs.whole_views and inputs.target_views",
+                "left out without inputs.whole_views, inputs.target_views and inputs.backbone",
                 "Or switch one of these on.",
+            )
+        if self.backbone and not (self.cameras and self.image_size):
+            raise wrong_value(
+                "inputs.backbone",
+                self.backbone,
+                "left out without inputs.cameras",
+                "It sees their images: take a preset that has some.",
             )
 
     def network_threads(self, threads: int) -> int:

@@ -24,7 +24,12 @@ from mjhab.data.store.reading import RecordedEpisode, open_shard
 from mjhab.learning.configs import InputConfig
 from mjhab.learning.observation.parts import Entry
 from mjhab.learning.observation.recorded import check_inputs, encode_episode
-from mjhab.learning.observation.spec import ObservationSpec, compare_specs, profile_of
+from mjhab.learning.observation.spec import (
+    ObservationSpec,
+    compare_specs,
+    described,
+    profile_of,
+)
 from mjhab.learning.runs.intervention import expert_steps
 from mjhab.rollout.records import EpisodeRecord
 from mjhab.tasks.subtasks.registry import SUBTASKS
@@ -173,6 +178,7 @@ def observation_spec_of_data(
             recorded_profile(episode),
             kinds=SUBTASKS.names(),
             robot=str(episode.run.config["env"].get("robot", "")),
+            backbone=described(inputs),
         ).in_conventions(episode.conventions)
         check_inputs(episode, layout)
     return layout

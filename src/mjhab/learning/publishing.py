@@ -14,6 +14,7 @@ from mjhab.core.version import __version__
 from mjhab.evaluation.publishing.check import POLICY
 from mjhab.learning.checkpoint import SUFFIX, load_checkpoint, student_of
 from mjhab.learning.configs import to_plain
+from mjhab.learning.observation.backbone import COPY
 from mjhab.learning.runs.run import STUDENT
 
 ASSIGNED_FILE = "policies.json"
@@ -43,6 +44,9 @@ def gather(policy: Path, folder: Path, licence: str = "") -> None:
         }
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
         shutil.copyfile(path, folder / name)
+        if saved.layout.backbone:
+            copy = (folder / name).with_name(COPY)
+            shutil.copyfile(saved.config.inputs.backbone, copy)
     if policy.is_dir() and (policy / ASSIGNED_FILE).is_file():
         shutil.copyfile(policy / ASSIGNED_FILE, folder / ASSIGNED_FILE)
     files = list_files(folder, frozenset())

@@ -22,7 +22,7 @@ README = "README.md"
 def list_files(root: Path, without: frozenset[str]) -> Files:
     """The files of a folder, but for the card, hidden ones and ``without`` (paths below ``root``)."""
     return {
-        name: {"bytes": path.stat().st_size, "sha256": _sha256(path)}
+        name: {"bytes": path.stat().st_size, "sha256": sha256_of(path)}
         for name, path in published(root)
         if name not in {README, *without}
     }
@@ -69,7 +69,7 @@ def differences(root: Path, files: Files) -> list[str]:
             found.append(f"{name} is missing")
         elif path.stat().st_size != told["bytes"]:
             found.append(f"{name} has {path.stat().st_size} bytes, not {told['bytes']}")
-        elif _sha256(path) != told["sha256"]:
+        elif sha256_of(path) != told["sha256"]:
             found.append(f"{name} has other content")
     known = {path.rpartition(".")[2] for path in files}
     for name, _ in published(root):
@@ -82,6 +82,7 @@ def differences(root: Path, files: Files) -> list[str]:
     return found
 
 
-def _sha256(path: Path) -> str:
+def sha256_of(path: Path) -> str:
+    """SHA-256 of a file, in hexadecimal digits."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()

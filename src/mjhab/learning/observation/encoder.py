@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -148,7 +149,7 @@ class ObservationEncoder:
         """Append ``now`` (W, ...) to a history (W, H, ...); fresh worlds get a history of ``now`` only."""
         now = now[:, None]
         length = self.spec.inputs.history
-        if length == 1:
+        if length == 1 or not math.prod(now.shape):
             return now
         xp = namespace(now)
         whole = xp.broadcast_to(now, (now.shape[0], length, *now.shape[2:]))

@@ -23,7 +23,8 @@ from mjhab.core.errors import UsageError, unknown_name
 from mjhab.core.joints import BASE_X, BASE_Y, BASE_YAW
 from mjhab.core.rotations import quat_rotate_inv
 from mjhab.learning.configs import DEPTH, IMAGE_CONTENTS, InputConfig
-from mjhab.learning.observation.depth import nearness
+from mjhab.learning.observation.backbone import BackboneSpec, frozen_features
+from mjhab.learning.observation.depth import nearness, pooled
 from mjhab.learning.observation.sentences import SENTENCE_WIDTH, encode_sentence
 
 Entry = tuple[str, int]
@@ -67,6 +68,9 @@ class InputSpec(Protocol):
 
     @property
     def conventions(self) -> Conventions: ...
+
+    @property
+    def backbone(self) -> BackboneSpec | None: ...
 
 
 class StepSource(Protocol):
@@ -234,6 +238,35 @@ class TargetInHand(VectorPart):
         return xp.astype(xp.concat(scales, axis=1), xp.float32)
 
 
+class FrozenFeatures(VectorPart):
+    """Features of the cameras' colour images by a pretrained network, see `backbone.Backbone`.
+
+    They stand in the vector, so that a training computes them once per image and not in every batch.
+    """
+
+    name = "backbone"
+    unit = "as the network's"
+
+    def entries(self, spec: InputSpec) -> Sequence[Entry]:
+        features = spec.backbone.features if spec.backbone else 0
+        return [(f"backbone/{camera}", features) for camera in spec.inputs.cameras]
+
+    def encode(self, source: StepSource, spec: InputSpec) -> Array:
+        inputs = spec.inputs
+        if spec.backbone is None:
+            raise ValueError("inputs with a backbone need a layout that describes it")
+        rows = []
+        for camera in inputs.cameras:
+            images = source.image(camera, RGB)
+            xp = namespace(images)
+            factor = images.shape[1] // inputs.image_size
+            if factor > 1:
+                channels = pooled(xp.moveaxis(images, -1, 1), factor)
+                images = xp.moveaxis(channels, 1, -1)
+            rows.append(frozen_features(inputs.backbone, spec.backbone, images))
+        return namespace(rows[0]).concat(rows, axis=1)
+
+
 class Condition(ConditioningPart):
     """One-hot of the kind of the active subtask and of the type of its target."""
 
@@ -367,6 +400,7 @@ VECTOR_PARTS: tuple[VectorPart, ...] = (
     LinkState(),
     PreviousAction(),
     TargetInHand(),
+    FrozenFeatures(),
     Condition(),
     Sentence(),
 )
@@ -393,6 +427,21 @@ def image_parts(inputs: InputConfig) -> tuple[ImagePart, ...]:
 def image_keys(inputs: InputConfig) -> tuple[str, ...]:
     """Keys of its images in the observation of an environment."""
     return tuple(key for part in image_parts(inputs) for key in part.keys(inputs))
+
+
+def image_outputs(inputs: InputConfig) -> tuple[str, ...]:
+    """The image outputs of an environment that a policy with these inputs needs."""
+    outputs = [part.output for part in image_parts(inputs)]
+    return tuple(dict.fromkeys([*outputs, *([RGB] if inputs.backbone else [])]))
+
+
+def seen_keys(inputs: InputConfig) -> tuple[str, ...]:
+    """Keys of the images of these outputs in the observation of an environment."""
+    return tuple(
+        f"{IMAGE_KEY_PREFIX}{camera}/{output}"
+        for output in image_outputs(inputs)
+        for camera in inputs.cameras
+    )
 
 
 def image_channels(inputs: InputConfig) -> tuple[int, ...]:

@@ -17,7 +17,7 @@ from mjhab.learning.observation.parts import (
     InputSpec,
     SubtaskConditioning,
     code_of,
-    image_parts,
+    image_outputs,
 )
 from mjhab.learning.observation.state import recorded_state
 from mjhab.tasks.instructions import without_teleport_mark
@@ -135,8 +135,10 @@ def check_inputs(episode: RecordedEpisode, spec: InputSpec) -> None:
     Raises:
         UsageError: as `encode_episode`.
     """
-    for part in image_parts(spec.inputs):
-        part.encode(RecordedSource(episode, spec, 1), spec)
+    source = RecordedSource(episode, spec, 1)
+    for output in image_outputs(spec.inputs):
+        for camera in spec.inputs.cameras:
+            source.image(camera, output)
     instructions_of(episode, spec)
 
 
@@ -170,7 +172,7 @@ def _no_images(
     """Make the error for images that are missing (``have`` None) or of another size (height, width) [px]."""
     size = spec.inputs.image_size
     cameras = " ".join(spec.inputs.cameras)
-    outputs = "+".join(part.output for part in image_parts(spec.inputs))
+    outputs = "+".join(image_outputs(spec.inputs))
     refusal = f"episode {episode.name} of {episode.shard.path} {found}; the preset needs {size}x{size} px. "
     if not lacks_states(episode):
         return UsageError(

@@ -11,13 +11,15 @@ from mjhab.core.conventions.names import OBJECT_AXES, UNWRAPPED, Conventions
 from mjhab.core.errors import UsageError, shown
 from mjhab.core.typed.options import read_record
 from mjhab.learning.configs import InputConfig
+from mjhab.learning.observation.backbone import BackboneSpec, opened
 from mjhab.learning.observation.parts import (
     Entry,
     conditioning_parts,
     image_channels,
     image_keys,
-    image_parts,
+    image_outputs,
     parts_of,
+    seen_keys,
     width_of,
 )
 from mjhab.robots.registry import DEFAULT_ROBOT, robot_named
@@ -42,7 +44,8 @@ class ObservationSpec:
     environment, see `control_of`. profile: of the environment, see `profile_of`; it is the default profile for
     evaluations of the student. robot: its name; "" in older checkpoints, of the default robot. object_axes,
     joint_angles: conventions of the observations that it was trained with, see `observation.state`; older checkpoints
-    do not say, and are of the defaults here.
+    do not say, and are of the defaults here. backbone: the pretrained network whose file ``inputs``
+    names; None without one.
     """
 
     inputs: InputConfig
@@ -55,6 +58,7 @@ class ObservationSpec:
     robot: str = ""
     object_axes: str = OBJECT_AXES
     joint_angles: str = UNWRAPPED
+    backbone: BackboneSpec | None = None
 
     @property
     def conventions(self) -> Conventions:
@@ -84,7 +88,8 @@ class ObservationSpec:
 
     def without_images(self) -> ObservationSpec:
         """The same layout for a network that sees no images."""
-        return replace(self, inputs=replace(self.inputs, cameras=(), image_size=0))
+        inputs = replace(self.inputs, cameras=(), image_size=0, backbone="")
+        return replace(self, inputs=inputs, backbone=None)
 
     @property
     def state_width(self) -> int:
@@ -155,7 +160,7 @@ class ObservationSpec:
         wrong = compare_specs(self, state_of(env), actions_of(env), control)
         size = (pool * self.inputs.image_size, pool * self.inputs.image_size)
         shapes = {entry.key: tuple(entry.shape) for entry in env.observer.table}
-        for key in self.image_keys:
+        for key in seen_keys(self.inputs):
             if key not in shapes:
                 wrong.append(f"{key} is missing")
             elif shapes[key][:2] != size:
@@ -171,7 +176,7 @@ class ObservationSpec:
     def pool_in(self, env: PolicyWorlds) -> int:
         """How many times as wide the images of an environment are as the student's; 1 where that is no whole number."""
         shapes = {entry.key: tuple(entry.shape) for entry in env.observer.table}
-        for key in self.image_keys:
+        for key in seen_keys(self.inputs):
             width = shapes[key][1] if key in shapes else 0
             if width and width % self.inputs.image_size == 0:
                 return width // self.inputs.image_size
@@ -212,10 +217,19 @@ def image_options(inputs: InputConfig) -> dict[str, Any]:
     if not inputs.cameras:
         return {}
     return {
-        "obs_mode": "+".join(part.output for part in image_parts(inputs)),
+        "obs_mode": "+".join(image_outputs(inputs)),
         "cameras": inputs.cameras,
         "camera_size": inputs.image_size,
     }
+
+
+def described(inputs: InputConfig) -> BackboneSpec | None:
+    """What a layout tells of the backbone of these inputs.
+
+    Raises:
+        UsageError: the file is no backbone, see `backbone.Backbone`.
+    """
+    return opened(inputs.backbone).spec if inputs.backbone else None
 
 
 def observation_spec_of(
@@ -232,6 +246,7 @@ def observation_spec_of(
         profile,
         SUBTASKS.names(),
         env.config.robot,
+        backbone=described(inputs),
     ).in_conventions(Conventions.of(vars(env.config)))
 
 

@@ -6,6 +6,7 @@ tensorboard/       the same metrics for TensorBoard
 data/round_000/    collected demonstrations of a round, in shards
 training.safetensors   state that the next update depends on
 student.safetensors    the policy for `mjhab eval --policy`
+backbone.onnx      copy of the pretrained network whose features the policy sees, if it does
 best.safetensors       of reinforcement: the policy with the best evaluation during training
 evaluations/       run folders of the first and the latest evaluation, as of `mjhab eval`
 summary.json, report.html   written at the end, also after Ctrl-C

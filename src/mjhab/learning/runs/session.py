@@ -25,6 +25,7 @@ from mjhab.learning.checkpoint import (
     save_tensors,
     saved_state,
 )
+from mjhab.learning.observation.backbone import keep_copy
 from mjhab.learning.observation.spec import ObservationSpec
 from mjhab.learning.runs import distributed
 from mjhab.learning.runs.budget import FirstUpdate
@@ -127,6 +128,8 @@ class Session(ABC):
     def settle(self, layout: ObservationSpec) -> None:
         """Take the layout of the policy, and open the log."""
         self.layout = layout
+        if layout.backbone and not distributed.rank():
+            keep_copy(layout.inputs.backbone, layout.backbone, self.folder.path)
         self.scenes = [
             replace(scene, profile=layout.profile) for scene in self.spec.scenes
         ]

@@ -1,0 +1,89 @@
+"""Resets of groups of equal starts per second: ``python -m benchmarks.groups``."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from benchmarks.command import run_command
+from mjhab.cli.output import print_json, print_table
+from mjhab.integrations.rlinf import RLinfEnv
+
+
+@dataclass(frozen=True)
+class GroupSpec:
+    """Measure resets of `mjhab.integrations.rlinf.RLinfEnv`: K worlds of each of N starts begin in every reset.
+
+    `python -m benchmarks.groups --group 1 4 8 --worlds 8 --obs rgb`
+
+    Times are CPU times of one thread.
+    """
+
+    group: tuple[int, ...] = (1, 4, 8)
+    """K, the worlds of a group."""
+    worlds: int = 8
+    """K x N, the number of worlds."""
+    subtask: str = "close"
+    """The subtask."""
+    obs: str = "rgb"
+    """Observation mode."""
+    size: int = 128
+    """Side of the images [px]."""
+    resets: int = 10
+    """Resets of all worlds, each with new starts."""
+    json: bool = False
+    """Print one line of JSON instead of a table."""
+
+
+def measure(spec: GroupSpec) -> list[dict[str, Any]]:
+    """One row per size of group: starts of worlds, and of groups, per CPU second."""
+    rows = []
+    for group in spec.group:
+        options = {
+            "subtask": spec.subtask,
+            "obs_mode": spec.obs,
+            "camera_size": spec.size,
+            "threads": 1,
+        }
+        cfg = {"group_size": group, "init_params": options}
+        env = RLinfEnv(cfg, spec.worlds)
+        # The first reset compiles homes and fills caches.
+        env.reset()
+        begun = time.process_time()
+        for _ in range(spec.resets):
+            env.update_reset_state_ids()
+            env.reset()
+        cpu = time.process_time() - begun
+        env.close()
+        starts = spec.resets * spec.worlds / cpu
+        rows.append(
+            {
+                "group": group,
+                "groups": spec.worlds // group,
+                "worlds_per_s": round(starts, 1),
+                "groups_per_s": round(starts / group, 1),
+            }
+        )
+    return rows
+
+
+def _work(spec: GroupSpec) -> int:
+    rows = measure(spec)
+    if spec.json:
+        print_json({"rows": rows})
+    else:
+        print_table("Resets of groups", tuple(rows[0]), [[*row.values()] for row in rows])
+    return 0
+
+
+def main(words: Sequence[str] | None = None) -> int:
+    """Run the command; return its exit code."""
+    least = {"group": 1, "worlds": 1, "size": 1, "resets": 1}
+    return run_command("groups", GroupSpec, _work, words, minima=least)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -160,51 +160,60 @@ def _halve(pixels, source, target, width_bits, height_bits, decode, encode):
 @color_inline
 def copy_for(texels_per_pixel):
     """Mip level whose texels are about as large as a pixel, for this number of level-0 texels per pixel side."""
-    level = 0
-    while texels_per_pixel > 1.42 and level < LEVELS - 1:
-        texels_per_pixel *= 0.5
-        level += 1
+    level = np.int64(0)
+    most = np.float32(1.42)
+    for _ in range(LEVELS - 1):
+        level += np.int64(texels_per_pixel > most)
+        most *= np.float32(2.0)
     return level
 
 
 @color_inline
-def sample(texels, texture, level, u, v):
-    """Red, green and blue bytes (0..255) at (u, v) of a texture, interpolated bilinearly; the texture repeats."""
-    wide = max(texels.bits[texture, 0] - level, 0)
-    high = max(texels.bits[texture, 1] - level, 0)
-    start = texels.start[texture, level]
-    x = u * (1 << wide) - 0.5
-    y = v * (1 << high) - 0.5
-    fx = np.floor(x)
-    fy = np.floor(y)
-    i = np.int64(fx)
-    j = np.int64(fy)
-    a = np.int64((x - fx) * 16.0)
-    b = np.int64((y - fy) * 16.0)
-    i0 = i & ((1 << wide) - 1)
-    i1 = (i + 1) & ((1 << wide) - 1)
-    j0 = start + ((j & ((1 << high) - 1)) << wide)
-    j1 = start + (((j + 1) & ((1 << high) - 1)) << wide)
-    pixels = texels.pixels
-    p00 = np.int64(pixels[np.uint64(j0 + i0)])
-    p01 = np.int64(pixels[np.uint64(j0 + i1)])
-    p10 = np.int64(pixels[np.uint64(j1 + i0)])
-    p11 = np.int64(pixels[np.uint64(j1 + i1)])
-    # Red and blue are weighted in one word: the weights sum to 256, so that no byte overflows into the other.
-    w00 = (16 - a) * (16 - b)
-    w01 = a * (16 - b)
-    w10 = (16 - a) * b
-    w11 = a * b
-    m = 0xFF00FF
-    outer = (p00 & m) * w00 + (p01 & m) * w01 + (p10 & m) * w10 + (p11 & m) * w11
-    middle = (
-        (p00 & 0xFF00) * w00
-        + (p01 & 0xFF00) * w01
-        + (p10 & 0xFF00) * w10
-        + (p11 & 0xFF00) * w11
-    )
+def texels_around(x, y, start, wide, high):
+    """The four texels around a point of a mip level, and where between them it lies; the texture repeats.
+
+    Args:
+        x, y: the point [texels] from the middle of the first.
+        start: index of the level's first texel.
+        wide, high: log2 of the level's sides.
+
+    Returns:
+        Indices of the texels above left, above right, below left, below right; steps of 1/16 across and down, 0..1.
+    """
+    left = np.floor(x)
+    above = np.floor(y)
+    i = np.int32(left)
+    j = np.int32(above)
+    mask_x = np.int32((1 << wide) - 1)
+    mask_y = np.int32((1 << high) - 1)
+    i0 = np.int32(i & mask_x)
+    i1 = np.int32(np.int32(i + 1) & mask_x)
+    j0 = np.int32(start + np.int32(np.int32(j & mask_y) << wide))
+    j1 = np.int32(start + np.int32(np.int32(np.int32(j + 1) & mask_y) << wide))
+    steps = np.float32(16.0)
+    step = np.float32(1.0 / 16.0)
+    across = np.floor((x - left) * steps) * step
+    down = np.floor((y - above) * steps) * step
     return (
-        (outer & 0xFFFF) * (1.0 / 256.0),
-        (middle >> 8) * (1.0 / 256.0),
-        (outer >> 16) * (1.0 / 256.0),
+        np.int32(j0 + i0),
+        np.int32(j0 + i1),
+        np.int32(j1 + i0),
+        np.int32(j1 + i1),
+        across,
+        down,
     )
+
+
+@color_inline
+def _byte(texel, shift):
+    return np.float32(np.int32(np.int32(texel >> np.int32(shift)) & np.int32(255)))
+
+
+@color_inline
+def blended_byte(above_left, above_right, below_left, below_right, across, down, shift):
+    """One of the bytes of four texels, at the bit ``shift``, interpolated bilinearly: 0..255."""
+    a = _byte(above_left, shift)
+    b = _byte(below_left, shift)
+    a = a + across * (_byte(above_right, shift) - a)
+    b = b + across * (_byte(below_right, shift) - b)
+    return a + down * (b - a)

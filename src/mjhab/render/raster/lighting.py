@@ -7,7 +7,6 @@ from typing import NamedTuple
 import numpy as np
 
 from mjhab.render.jit import color_inline, color_kernel
-from mjhab.render.raster.occlusion import BORDER
 
 LAMP_REACH = 2.4
 """Distance [m] at which the light of a lamp has fallen to 0.35 of that at the lamp, by inverse-square falloff."""
@@ -40,15 +39,15 @@ NODE_ROW = MOST_NODES + 16
 """Length of a row of ``nodes``, a flat f32 array with one number per node in each row. The rows are the point X, Y, Z
 [m], the unit normal NX, NY, NZ and the unit vector to the camera VX, VY, VZ in the world; GLOSS 0..1; OPEN, ambient
 openness 0..1 (1: not occluded); FACING, cosine between normal and camera; LIT, share of a lamp's light that arrives;
-DR, DG, DB, diffuse light, a factor on the colour; SR, SG, SB, specular light, to be added.
+DR, DG, DB, diffuse light, a factor on the colour; SR, SG, SB, specular light, to be added; SIZE, length on the surface
+that a ray sees per slope [m].
 
 The array is flat and its rows have a constant length: only then the compiler knows that rows do not overlap, and
 vectorises loops over nodes. The 16 keep rows from falling on the same lines of the processor's cache."""
-NODE_ROWS = 19
+NODE_ROWS = 20
 (
-    X, Y, Z, NX, NY, NZ, VX, VY, VZ, GLOSS, OPEN, FACING, LIT, DR, DG, DB, SR, SG, SB,
+    X, Y, Z, NX, NY, NZ, VX, VY, VZ, GLOSS, OPEN, FACING, LIT, DR, DG, DB, SR, SG, SB, SIZE,
 ) = (np.uint64(row * NODE_ROW) for row in range(NODE_ROWS))  # fmt: skip
-_BORDER = np.uint64(BORDER)
 _TINY = np.float32(1e-9)
 _FADE = np.float32(1.0 / LAMP_RANGE**4)
 _GAIN = np.float32(LAMP_GAIN)
@@ -208,44 +207,3 @@ def light_nodes(lamps, home, nodes, count):
         nodes[n + SR] = nodes[n + SR] * share + rim * _SKY_R
         nodes[n + SG] = nodes[n + SG] * share + rim * _SKY_G
         nodes[n + SB] = nodes[n + SB] * share + rim * _SKY_B
-
-
-@color_inline
-def sky(lens, u, v, line, x):
-    """Write the background colour, linear rgb, along the ray with slopes (u right, v up) into ``line[:, x]``."""
-    m = lens.mat
-    dz = (m[2, 0] * u + m[2, 1] * v - m[2, 2]) / np.sqrt(1.0 + u * u + v * v)
-    t = min(max(0.5 + 0.9 * dz, 0.0), 1.0)
-    line[0, x] = 0.30 + 0.28 * t
-    line[1, x] = 0.34 + 0.32 * t
-    line[2, x] = 0.40 + 0.38 * t
-
-
-@color_inline
-def blended_share(share, depths, row, col, depth):
-    """Ambient openness at a position (row, col in cells): bilateral interpolation of ``share`` (a, b).
-
-    The four nearest cells are weighted by distance and by how well ``depths``, inverse depth [1/m] with a border of
-    `occlusion.BORDER` cells, matches ``depth`` [m].
-    """
-    zero = np.float32(0.0)
-    one = np.float32(1.0)
-    height, width = share.shape
-    fy = max(np.float32(row) - np.float32(0.5), zero)
-    fx = max(np.float32(col) - np.float32(0.5), zero)
-    i = min(int(fy), height - 1)
-    j = min(int(fx), width - 1)
-    fy = fy - np.float32(i)
-    fx = fx - np.float32(j)
-    total = zero
-    weight = np.float32(1e-9)
-    for r in range(2):
-        for c in range(2):
-            y = np.uint64(min(i + r, height - 1))
-            x = np.uint64(min(j + c, width - 1))
-            w = (fy if r else one - fy) * (fx if c else one - fx) + np.float32(1e-3)
-            off = abs(depths[y + _BORDER, x + _BORDER] * depth - one)
-            w *= np.float32(1e-4) + max(zero, one - np.float32(20.0) * off)
-            total += w * share[y, x]
-            weight += w
-    return total / weight

@@ -1,8 +1,8 @@
 """Kernels of deferred shading: the colour of every pixel from the ids and inverse depths of the z-buffer.
 
-A row is shaded in runs of pixels on one face. Light varies slowly along a run: it is computed every few pixels (at
-nodes), for all nodes of a row at once, and interpolated linearly; textures are sampled at every pixel. Light is linear
-rgb until ``tone_curve``.
+An image is shaded in stripes of some rows, in runs of pixels on one face. Light varies slowly along a run: it is
+computed every few pixels (at nodes), for all nodes of a stripe at once, and interpolated linearly; textures are sampled
+at every pixel. Light is linear rgb until ``tone_curve``.
 """
 
 from __future__ import annotations
@@ -12,12 +12,11 @@ from typing import NamedTuple
 import numpy as np
 
 from mjhab.render.jit import color_inline, color_kernel
-from mjhab.render.raster.arrays import FACE_BITS
+from mjhab.render.patterns import SHADE_TOP
 from mjhab.render.raster.lighting import (
     DB,
     DG,
     DR,
-    FACING,
     MOST_NODES,
     NODE_ROW,
     NODE_ROWS,
@@ -25,43 +24,74 @@ from mjhab.render.raster.lighting import (
     SG,
     SR,
     light_nodes,
-    sky,
 )
 from mjhab.render.raster.nodes import (
+    FACE,
+    LINE_B,
+    LINE_G,
+    LINE_R,
+    MATERIAL,
+    NODE,
+    PIXEL_ROW,
+    PIXEL_ROWS,
+    ROW,
+    RUN_COLUMNS,
+    SHORT_RUN,
+    SLOT,
+    START,
+    Stripe,
     aim_nodes,
-    openness_at,
-    towards_camera,
-    world_normal,
-    write_node,
+    column_shift,
+    find_runs,
+    place_nodes,
+    read_pixels,
+    slope_down,
 )
-from mjhab.render.raster.surfaces import fill_frame
-from mjhab.render.raster.texturing import texture_level, texture_map, textured
+from mjhab.render.raster.texturing import (
+    TEXEL_B,
+    TEXEL_G,
+    TEXEL_R,
+    VECTOR,
+    read_textures,
+)
 from mjhab.scenes.shapes.colors import linear_to_srgb
 
-SHORT_RUN = 3
-"""Runs up to this many samples have constant light, that of their middle."""
 TONE_RANGE = 4.0
 """Linear light of the last entry of ``tone_curve``; larger values are clipped."""
+_LIGHT = DR, DG, DB, SR, SG, SB
+_BYTE = np.float32(1.0 / 255.0)
+_SHADE = np.float32(SHADE_TOP / 255.0)
+_CUBIC = np.float32(0.305306011)
+_SQUARE = np.float32(0.682171111)
+_LINEAR = np.float32(0.012522878)
+_NEXT = np.uint64(1)
 
 
 class ShadeScratch(NamedTuple):
     """Working memory of one thread.
 
     Attributes:
-        line: (3, width) f32, linear rgb of a row of samples.
-        total: (3, width) f32, its sums over the samples of each pixel.
-        frames: (I, 15) f64, see `surfaces.fill_frame`; entry i is valid if ``stamp[i] == stamp[-1]``.
+        total: (3, width) f32, sums of linear rgb over the samples of each pixel.
+        frames: (I, 24) f64, see `surfaces.fill_frame`; entry i is valid if ``stamp[i] == stamp[-1]``.
         stamp: (I + 1,) i64, number of the image that ``frames`` was filled for; the last entry is the current image.
-        runs: (MOST_NODES, 5) i64, the runs of a stretch of a row: first column, last column + 1, face, material, first
-            node.
-        nodes: f32, the nodes of these runs, see `lighting.NODE_ROW`.
+        runs: (MOST_NODES + 1, RUN_COLUMNS) i64, see `nodes.START`.
+        textured: (MOST_NODES + 1,) i64, the textured runs.
+        keys: (PIXEL_ROW,) i32, ids of the pixels of a stripe, -1 for the background.
+        cell_at: (2 * MOST_NODES,) i32, row and column of a cell of ambient occlusion at each node.
+        texel_at: (4 * PIXEL_ROW,) i32, indices of the four texels of textured pixels, then these.
+        pixels: f32, the pixels of a stripe, see `nodes.PIXEL_ROW`.
+        nodes: f32, the nodes of its runs, see `lighting.NODE_ROW`.
     """
 
-    line: np.ndarray
     total: np.ndarray
     frames: np.ndarray
     stamp: np.ndarray
     runs: np.ndarray
+    textured: np.ndarray
+    keys: np.ndarray
+    cell_at: np.ndarray
+    texel_at: np.ndarray
+    pixels: np.ndarray
     nodes: np.ndarray
 
 
@@ -69,11 +99,15 @@ def make_shade_scratch(instances: int, width: int) -> ShadeScratch:
     """Allocate the scratch of one thread for I instances and rows of up to ``width`` samples."""
     return ShadeScratch(
         np.empty((3, width), np.float32),
-        np.empty((3, width), np.float32),
-        np.empty((instances, 15)),
+        np.empty((instances, 24)),
         np.zeros(instances + 1, np.int64),
-        np.empty((MOST_NODES, 5), np.int64),
-        np.empty(NODE_ROWS * NODE_ROW, np.float32),
+        np.empty((MOST_NODES + 1, RUN_COLUMNS), np.int64),
+        np.empty(MOST_NODES + 1, np.int64),
+        np.empty(PIXEL_ROW, np.int32),
+        np.empty(2 * MOST_NODES, np.int32),
+        np.empty(4 * PIXEL_ROW, np.int32),
+        np.zeros(PIXEL_ROWS * PIXEL_ROW, np.float32),
+        np.zeros(NODE_ROWS * NODE_ROW, np.float32),
     )
 
 
@@ -90,170 +124,116 @@ def compressed(linear: np.ndarray) -> np.ndarray:
 
 
 @color_inline
-def _fill_plain(line, left, count, r, g, b, p, d):
-    """Write ``count`` pixels of a run with the colour (r, g, b); light is ``p`` at ``left`` and changes by ``d``."""
-    r0 = np.float32(r * p[0] + p[3])
-    g0 = np.float32(g * p[1] + p[4])
-    b0 = np.float32(b * p[2] + p[5])
-    r1 = np.float32(r * d[0] + d[3])
-    g1 = np.float32(g * d[1] + d[4])
-    b1 = np.float32(b * d[2] + d[5])
-    for k in range(np.uint64(count)):
-        t = np.float32(np.int32(k))
-        x = np.uint64(left) + k
-        line[0, x] = r0 + t * r1
-        line[1, x] = g0 + t * g1
-        line[2, x] = b0 + t * b1
-
-
-@color_inline
-def _place_runs(
-    surface,
-    poses,
-    home,
-    looks,
-    lens,
-    openness,
-    scratch,
-    row,
-    begin,
-    end,
-    inverse,
-    ids,
-    stride,
-):
-    """Find the runs of the pixels ``begin`` to ``end - 1`` of a row, and place the nodes of their light.
-
-    Pixels of the background get their colour at once.
-
-    Returns:
-        The number of runs, written to ``scratch.runs``, and the number of nodes.
-    """
-    rows, columns = inverse.shape
-    inv = 1.0 / lens.focal
-    v = (0.5 * rows - row - 0.5) * inv
-    light = scratch.nodes
-    runs = 0
-    nodes = 0
-    x = begin
-    while x < end:
-        start = x
-        seen = inverse[row, x] > 0.0
-        tag = ids[row, x]
-        x += 1
-        while (
-            x < end
-            and (inverse[row, x] > 0.0) == seen
-            and (ids[row, x] == tag or not seen)
-        ):
-            x += 1
-        if not seen:
-            for k in range(start, x):
-                sky(
-                    lens,
-                    (k + 0.5 - 0.5 * columns) * inv,
-                    v,
-                    scratch.line,
-                    k,
-                )
-            continue
-        i = tag >> FACE_BITS
-        face = surface.mesh_start[poses.drawn[i]] + (tag & ((1 << FACE_BITS) - 1))
-        fill_frame(poses, scratch, lens, i)
-        m = surface.instance_material[home, i]
-        if m < 0:
-            m = surface.face_material[face]
-        m = looks[m]
-        scratch.runs[runs, 0] = start
-        scratch.runs[runs, 1] = x
-        scratch.runs[runs, 2] = face
-        scratch.runs[runs, 3] = m
-        scratch.runs[runs, 4] = nodes
-        runs += 1
-        gloss = surface.gloss[m]
-        smooth = surface.smooth[face]
-        short = x - start <= SHORT_RUN
-        at = (start + x) // 2 if short else start
-        last = at if short else x - 1
-        u = (at + 0.5 - 0.5 * columns) * inv
-        nx, ny, nz = world_normal(
-            surface, poses, scratch, i, face, u, v, 1.0 / inverse[row, at]
-        )
-        if not smooth:
-            nx, ny, nz = towards_camera(lens, u, v, nx, ny, nz)
-        while True:
-            depth = np.float32(1.0) / inverse[row, at]
-            u = (at + 0.5 - 0.5 * columns) * inv
-            if smooth and at > start:
-                nx, ny, nz = world_normal(surface, poses, scratch, i, face, u, v, depth)
-            share = openness_at(openness, row, at, depth)
-            write_node(light, nodes, u, depth, nx, ny, nz, gloss, share)
-            nodes += 1
-            if at == last:
-                break
-            at = min(at + stride, last)
-    aim_nodes(lens, v, light, nodes)
-    return runs, nodes
-
-
-@color_inline
 def _light_at(nodes, n):
     """Light of node ``n``: diffuse rgb, specular rgb."""
     return (
-        float(nodes[n + DR]),
-        float(nodes[n + DG]),
-        float(nodes[n + DB]),
-        float(nodes[n + SR]),
-        float(nodes[n + SG]),
-        float(nodes[n + SB]),
+        nodes[n + DR],
+        nodes[n + DG],
+        nodes[n + DB],
+        nodes[n + SR],
+        nodes[n + SG],
+        nodes[n + SB],
     )
 
 
 @color_inline
-def _shade_run(surface, lens, scratch, run, row, inverse, ids, stride):
-    """Write the colours of a run into ``scratch.line``, from the light of its nodes."""
-    height, width = inverse.shape
-    inv = 1.0 / lens.focal
-    cx = 0.5 * width - 0.5
-    v = (0.5 * height - row - 0.5) * inv
-    f = scratch.frames
-    line = scratch.line
-    start = scratch.runs[run, 0]
-    stop = scratch.runs[run, 1]
-    face = scratch.runs[run, 2]
-    m = scratch.runs[run, 3]
-    n = np.uint64(scratch.runs[run, 4])
+def _fill_plain(pixels, left, count, color, p, d):
+    """Write ``count`` pixels from ``left`` with a colour; light is ``p`` at ``left`` and changes by ``d`` per pixel."""
+    r0 = color[0] * p[0] + p[3]
+    g0 = color[1] * p[1] + p[4]
+    b0 = color[2] * p[2] + p[5]
+    r1 = color[0] * d[0] + d[3]
+    g1 = color[1] * d[1] + d[4]
+    b1 = color[2] * d[2] + d[5]
+    for k in range(np.uint64(count)):
+        t = np.float32(np.int32(k))
+        pixels[left + k + LINE_R] = r0 + t * r1
+        pixels[left + k + LINE_G] = g0 + t * g1
+        pixels[left + k + LINE_B] = b0 + t * b1
+
+
+@color_inline
+def _fill_pattern(pixels, left, count, slot, color, other, p, d):
+    """As `_fill_plain`, with colours between two and a shade that the texels from ``slot`` on give."""
+    r1 = other[0] - color[0]
+    g1 = other[1] - color[1]
+    b1 = other[2] - color[2]
+    for k in range(np.uint64(count)):
+        t = np.float32(np.int32(k))
+        mix = pixels[slot + k + TEXEL_R] * _BYTE
+        shade = pixels[slot + k + TEXEL_G] * _SHADE
+        r = shade * (color[0] + mix * r1)
+        g = shade * (color[1] + mix * g1)
+        b = shade * (color[2] + mix * b1)
+        pixels[left + k + LINE_R] = r * (p[0] + t * d[0]) + (p[3] + t * d[3])
+        pixels[left + k + LINE_G] = g * (p[1] + t * d[1]) + (p[4] + t * d[4])
+        pixels[left + k + LINE_B] = b * (p[2] + t * d[2]) + (p[5] + t * d[5])
+
+
+@color_inline
+def _linear(level):
+    """Linear light 0..1 of an sRGB value 0..255 (cubic approximation, error below 0.002)."""
+    c = level * _BYTE
+    return c * (c * (c * _CUBIC + _SQUARE) + _LINEAR)
+
+
+@color_inline
+def _fill_image(pixels, left, count, slot, color, p, d):
+    """As `_fill_plain`, with a colour times that of the texels from ``slot`` on."""
+    for k in range(np.uint64(count)):
+        t = np.float32(np.int32(k))
+        r = color[0] * _linear(pixels[slot + k + TEXEL_R])
+        g = color[1] * _linear(pixels[slot + k + TEXEL_G])
+        b = color[2] * _linear(pixels[slot + k + TEXEL_B])
+        pixels[left + k + LINE_R] = r * (p[0] + t * d[0]) + (p[3] + t * d[3])
+        pixels[left + k + LINE_G] = g * (p[1] + t * d[1]) + (p[4] + t * d[4])
+        pixels[left + k + LINE_B] = b * (p[2] + t * d[2]) + (p[5] + t * d[5])
+
+
+@color_inline
+def _fill_segment(surface, scratch, m, kind, left, count, slot, p, d):
+    """Write the colours of ``count`` pixels from ``left`` of the material ``m``: plain, of a pattern or an image."""
+    pixels = scratch.pixels
+    c = surface.color
+    color = (np.float32(c[m, 0]), np.float32(c[m, 1]), np.float32(c[m, 2]))
+    # Whole vectors: what lies beyond the end belongs to runs that follow, or is never read.
+    count = (count + VECTOR - 1) // VECTOR * VECTOR
+    if kind == 0:
+        _fill_plain(pixels, left, count, color, p, d)
+    elif kind == 1:
+        c = surface.color2
+        other = (np.float32(c[m, 0]), np.float32(c[m, 1]), np.float32(c[m, 2]))
+        _fill_pattern(pixels, left, count, slot, color, other, p, d)
+    else:
+        _fill_image(pixels, left, count, slot, color, p, d)
+
+
+@color_inline
+def _fill_run(surface, scratch, run, start, stop, stride):
+    """Write the colours of a run, from the light of its nodes and from its texels."""
+    runs = scratch.runs
     nodes = scratch.nodes
-    i = ids[row, start] >> FACE_BITS
-    plain = surface.texture[m] < 0
-    r = surface.color[m, 0]
-    g = surface.color[m, 1]
-    b = surface.color[m, 2]
-    short = stop - start <= SHORT_RUN
-    if short and plain:
-        red = np.float32(r * nodes[n + DR] + nodes[n + SR])
-        green = np.float32(g * nodes[n + DG] + nodes[n + SG])
-        blue = np.float32(b * nodes[n + DB] + nodes[n + SB])
-        for x in range(start, stop):
-            line[0, x] = red
-            line[1, x] = green
-            line[2, x] = blue
-        return
-    at = (start + stop) // 2 if short else start
-    s0, su, sc, t0, tu, tc = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    if not plain:
-        w = float(inverse[row, at])
-        s0, su, sc, t0, tu, tc = texture_map(
-            surface, f, i, face, m, (at - cx) * inv, v, w
+    m = np.uint64(runs[run, MATERIAL])
+    n = np.uint64(runs[run, NODE])
+    slot = np.uint64(runs[run, SLOT])
+    kind = 0
+    if surface.texture[m] >= 0:
+        kind = 1 if surface.pattern[m] else 2
+    p = _light_at(nodes, n)
+    if stop - start <= SHORT_RUN:
+        zero = np.float32(0.0)
+        d = (zero, zero, zero, zero, zero, zero)
+        _fill_segment(
+            surface, scratch, m, kind, np.uint64(start), stop - start, slot, p, d
         )
+        return
     left = start
     while left < stop:
-        # The column of the next node.
-        at = left + 1 if short else min(left + stride, stop - 1)
-        end = stop if short or at == stop - 1 else at
-        p = _light_at(nodes, n)
-        q = p if short else _light_at(nodes, n + np.uint64(1))
-        s = 1.0 / (at - left)
+        at = min(left + stride, stop - 1)
+        end = stop if at == stop - 1 else at
+        n += _NEXT
+        q = _light_at(nodes, n)
+        s = np.float32(1.0) / np.float32(at - left)
         d = (
             (q[0] - p[0]) * s,
             (q[1] - p[1]) * s,
@@ -262,52 +242,71 @@ def _shade_run(surface, lens, scratch, run, row, inverse, ids, stride):
             (q[4] - p[4]) * s,
             (q[5] - p[5]) * s,
         )
-        if plain:
-            _fill_plain(line, left, end - left, r, g, b, p, d)
-        else:
-            turned = max(float(nodes[n + FACING]), 0.05)
-            pixel = inv / (float(inverse[row, left]) * np.sqrt(turned))
-            level = texture_level(surface, m, face, f, i, pixel)
-            for x in range(left, end):
-                depth = 1.0 / inverse[row, x]
-                u = (x - cx) * inv
-                t = float(x - left)
-                r, g, b = textured(
-                    surface,
-                    m,
-                    level,
-                    s0 + depth * (su * u + sc),
-                    t0 + depth * (tu * u + tc),
-                )
-                line[0, x] = r * (p[0] + t * d[0]) + p[3] + t * d[3]
-                line[1, x] = g * (p[1] + t * d[1]) + p[4] + t * d[4]
-                line[2, x] = b * (p[2] + t * d[2]) + p[5] + t * d[5]
+        _fill_segment(surface, scratch, m, kind, np.uint64(left), end - left, slot, p, d)
+        slot += np.uint64(end - left)
         left = end
-        n += np.uint64(1)
+        p = q
 
 
 @color_inline
-def _store(line, total, s, part, tone, rgb, row):
-    """Add row ``part`` (0..s - 1) of the samples of a row of pixels to the sums; after the last, write tone-mapped rgb.
+def _fill_sky(lens, shape, stripe, scratch, row, start, stop):
+    """Write the colours of a run of the background."""
+    m = lens.mat
+    pixels = scratch.pixels
+    shift = column_shift(shape, stripe, row)
+    v = slope_down(lens, shape, stripe, row)
+    for p in range(np.uint64(start), np.uint64(stop)):
+        u = (np.float64(p) + shift) / lens.focal
+        dz = (m[2, 0] * u + m[2, 1] * v - m[2, 2]) / np.sqrt(1.0 + u * u + v * v)
+        t = min(max(0.5 + 0.9 * dz, 0.0), 1.0)
+        pixels[p + LINE_R] = 0.30 + 0.28 * t
+        pixels[p + LINE_G] = 0.34 + 0.32 * t
+        pixels[p + LINE_B] = 0.40 + 0.38 * t
+
+
+@color_inline
+def _fill_runs(surface, lens, shape, stripe, scratch, count, stride):
+    """Write the colours of the first ``count`` runs, from left to right, because each may write beyond its end."""
+    runs = scratch.runs
+    for run in range(np.uint64(count)):
+        start = runs[run, START]
+        stop = runs[run + _NEXT, START]
+        if runs[run, FACE] < 0:
+            _fill_sky(lens, shape, stripe, scratch, runs[run, ROW], start, stop)
+        else:
+            _fill_run(surface, scratch, run, start, stop, stride)
+
+
+@color_inline
+def _store(pixels, total, s, stripe, row, tone, rgb):
+    """Add a row of the stripe's samples to the sums of its pixels; after the last of a pixel, write tone-mapped rgb.
 
     ``s`` is the number of samples per pixel side.
     """
-    width = np.uint64(rgb.shape[1])
+    y = (stripe.top + row) // s
+    part = (stripe.top + row) % s
+    first = np.uint64(stripe.begin // s)
+    at = np.uint64(row * stripe.span)
     scale = np.float32((tone.shape[0] - 1) / (TONE_RANGE * s * s))
+    zero = np.float32(0.0)
     top = np.float32(tone.shape[0] - 1)
-    for c in range(3):
-        if s > 1:
-            for k in range(width):
-                level = total[c, k] if part > 0 else np.float32(0.0)
-                for n in range(np.uint64(s)):
-                    level += line[c, k * np.uint64(s) + n]
-                total[c, k] = level
-    if part == s - 1:
-        light = total if s > 1 else line
-        for k in range(width):
+    if s == 1:
+        for k in range(np.uint64(stripe.span)):
             for c in range(3):
-                level = min(max(light[c, k] * scale, np.float32(0.0)), top)
-                rgb[row, k, c] = tone[np.uint64(np.int32(level))]
+                light = pixels[at + k + np.uint64(c * PIXEL_ROW) + LINE_R] * scale
+                level = min(max(light, zero), top)
+                rgb[y, first + k, c] = tone[np.uint64(np.int32(level))]
+        return
+    for c in range(3):
+        for k in range(np.uint64(stripe.span // s)):
+            level = total[c, first + k] if part > 0 else zero
+            for n in range(np.uint64(s)):
+                place = at + k * np.uint64(s) + n
+                level += pixels[place + np.uint64(c * PIXEL_ROW) + LINE_R]
+            total[c, first + k] = level
+            if part == s - 1:
+                level = min(max(level * scale, zero), top)
+                rgb[y, first + k, c] = tone[np.uint64(np.int32(level))]
 
 
 @color_kernel
@@ -340,29 +339,26 @@ def shade(
         stride: samples between nodes of light.
         rgb: output.
     """
-    rows, columns = inverse.shape
+    shape = inverse.shape
+    rows, columns = shape
     s = rows // rgb.shape[0]
     scratch.stamp[-1] += 1
-    for row in range(rows):
-        for begin in range(0, columns, MOST_NODES):
-            # A stretch of a row has at most one node per pixel.
-            end = min(begin + MOST_NODES, columns)
-            runs, nodes = _place_runs(
-                surface,
-                poses,
-                home,
-                looks,
-                lens,
-                openness,
-                scratch,
-                row,
-                begin,
-                end,
-                inverse,
-                ids,
-                stride,
+    # A stripe has at most one node per pixel: some whole rows, or a part of a row in whole pixels of the output.
+    height = max(MOST_NODES // columns, 1)
+    width = min(columns, MOST_NODES // s * s)
+    for top in range(0, rows, height):
+        for begin in range(0, columns, width):
+            stripe = Stripe(
+                top, min(height, rows - top), begin, min(width, columns - begin)
             )
+            read_pixels(inverse, ids, stripe, scratch)
+            runs = find_runs(stripe, scratch)
+            nodes, textured = place_nodes(
+                surface, poses, home, looks, lens, shape, stripe, scratch, runs, stride
+            )
+            aim_nodes(lens, shape, openness, scratch, nodes)
             light_nodes(lamps, home, scratch.nodes, nodes)
-            for run in range(runs):
-                _shade_run(surface, lens, scratch, run, row, inverse, ids, stride)
-        _store(scratch.line, scratch.total, s, row % s, tone, rgb, row // s)
+            read_textures(surface, lens, shape, stripe, scratch, textured, stride)
+            _fill_runs(surface, lens, shape, stripe, scratch, runs, stride)
+            for row in range(stripe.rows):
+                _store(scratch.pixels, scratch.total, s, stripe, row, tone, rgb)

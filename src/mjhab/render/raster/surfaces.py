@@ -42,7 +42,7 @@ def fill_frame(poses, scratch, lens, i):
     """Fill ``frames[i]`` once per image.
 
     Entries 0:3 are the camera's position [m] and 3:12 its rotation matrix by rows, both in the frame of instance ``i``;
-    12:15 are 1 / scale.
+    12:15 are 1 / scale, and 15:24 by rows the matrix from normals in the frame of the mesh to the world.
     """
     if scratch.stamp[i] == scratch.stamp[-1]:
         return
@@ -61,6 +61,9 @@ def fill_frame(poses, scratch, lens, i):
         for k in range(3):
             f[i, 3 + 3 * r + k] = a * m[0, k] + b * m[1, k] + c * m[2, k]
         f[i, 12 + r] = 1.0 / poses.scale[i, r]
+    for r in range(3):
+        for k in range(3):
+            f[i, 15 + 3 * r + k] = rot[i, r, k] * f[i, 12 + k]
 
 
 @color_inline
@@ -74,7 +77,7 @@ def place_point(f, i, u, v, depth):
 
 @color_inline
 def normal_at(surface, f, i, face, x, y, z):
-    """Unit normal of a face at the point (x, y, z) [m], both in the frame of instance ``i``."""
+    """Normal of a face at the point (x, y, z) [m], of any length, both in the frame of instance ``i``."""
     n = surface.face_normal
     sx = f[i, 12]
     sy = f[i, 13]
@@ -82,9 +85,7 @@ def normal_at(surface, f, i, face, x, y, z):
     x = x * sx
     y = y * sy
     z = z * sz
-    # The factors of x, y and z are 0 on flat faces. Asking ``smooth`` costs more than these products.
     nx = (n[face, 0, 3] + n[face, 0, 0] * x + n[face, 0, 1] * y + n[face, 0, 2] * z) * sx
     ny = (n[face, 1, 3] + n[face, 1, 0] * x + n[face, 1, 1] * y + n[face, 1, 2] * z) * sy
     nz = (n[face, 2, 3] + n[face, 2, 0] * x + n[face, 2, 1] * y + n[face, 2, 2] * z) * sz
-    length = 1.0 / np.sqrt(nx * nx + ny * ny + nz * nz + 1e-30)
-    return nx * length, ny * length, nz * length
+    return nx, ny, nz

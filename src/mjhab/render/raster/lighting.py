@@ -39,14 +39,14 @@ NODE_ROW = MOST_NODES + 16
 """Length of a row of ``nodes``, a flat f32 array with one number per node in each row. The rows are the point X, Y, Z
 [m], the unit normal NX, NY, NZ and the unit vector to the camera VX, VY, VZ in the world; GLOSS 0..1; OPEN, ambient
 openness 0..1 (1: not occluded); FACING, cosine between normal and camera; LIT, share of a lamp's light that arrives;
-DR, DG, DB, diffuse light, a factor on the colour; SR, SG, SB, specular light, to be added; SIZE, length on the surface
-that a ray sees per slope [m].
+DR, DG, DB, diffuse light, a factor on the colour; SR, SG, SB, specular light, to be added; SLANT, length on the surface
+that a pixel covers, relative to one that faces the camera.
 
 The array is flat and its rows have a constant length: only then the compiler knows that rows do not overlap, and
 vectorises loops over nodes. The 16 keep rows from falling on the same lines of the processor's cache."""
 NODE_ROWS = 20
 (
-    X, Y, Z, NX, NY, NZ, VX, VY, VZ, GLOSS, OPEN, FACING, LIT, DR, DG, DB, SR, SG, SB, SIZE,
+    X, Y, Z, NX, NY, NZ, VX, VY, VZ, GLOSS, OPEN, FACING, LIT, DR, DG, DB, SR, SG, SB, SLANT,
 ) = (np.uint64(row * NODE_ROW) for row in range(NODE_ROWS))  # fmt: skip
 _TINY = np.float32(1e-9)
 _FADE = np.float32(1.0 / LAMP_RANGE**4)
@@ -130,7 +130,8 @@ def light_nodes(lamps, home, nodes, count):
     zero = np.float32(0.0)
     one = np.float32(1.0)
     half = np.float32(0.5)
-    every = range(np.uint64(count))
+    # Whole vectors: a loop over the nodes that are left over would take as long as one over eight.
+    every = range(np.uint64((count + 7) // 8 * 8))
     for n in every:
         nodes[n + LIT] = one
         nodes[n + DR] = zero
@@ -149,7 +150,7 @@ def light_nodes(lamps, home, nodes, count):
         lamp_y = np.float32(lamps.pos[home, k, 1])
         lamp_z = np.float32(lamps.pos[home, k, 2])
         if lamps.shadow.shape[0] > 0:
-            for n in every:
+            for n in range(np.uint64(count)):
                 nodes[n + LIT] = _lit(lamps.shadow, k, nodes, n, lamp_x, lamp_y, lamp_z)
         for n in every:
             nx = nodes[n + NX]

@@ -27,7 +27,7 @@ from mjhab.render.raster.lighting import (
     OPEN,
     SB,
     SG,
-    SIZE,
+    SLANT,
     SR,
     VX,
     VY,
@@ -43,9 +43,9 @@ SHORT_RUN = 3
 """Runs up to this many samples have constant light, that of their middle."""
 PIXEL_ROW = MOST_NODES + 48
 """Length of a row of ``pixels``, a flat f32 array as `lighting.NODE_ROW` tells; loops that fill a run may write beyond
-its end, where the next run follows. The rows are the depth DEPTH [m] and the linear colour LINE_R, LINE_G, LINE_B of the
-pixels of a stripe, and of its textured pixels, without gaps between them, the place between texels ACROSS, DOWN 0..1
-and the bytes of the texture TEXEL_R, TEXEL_G, TEXEL_B."""
+its end, where the next run follows. The rows are the depth DEPTH [m] and the linear colour LINE_R, LINE_G, LINE_B of
+the pixels of a stripe, and of its textured pixels, without gaps between them, the place between texels ACROSS, DOWN
+0..1 and the bytes of the texture TEXEL_R, TEXEL_G, TEXEL_B."""
 PIXEL_ROWS = 9
 DEPTH, LINE_R, LINE_G, LINE_B, ACROSS, DOWN, TEXEL_R, TEXEL_G, TEXEL_B = (
     np.uint64(row * PIXEL_ROW) for row in range(PIXEL_ROWS)
@@ -179,7 +179,7 @@ def place_nodes(surface, poses, home, looks, lens, shape, stripe, scratch, count
         face = np.uint64(
             surface.mesh_start[np.uint64(poses.drawn[i])] + (key & ((1 << FACE_BITS) - 1))
         )
-        fill_frame(poses, scratch, lens, i)
+        fill_frame(poses, surface.extent, scratch, lens, i)
         m = surface.instance_material[home, i]
         if m < 0:
             m = surface.face_material[face]
@@ -259,7 +259,7 @@ def _aim(lens, nodes, count):
         nodes[n + VY] = vy
         nodes[n + VZ] = vz
         nodes[n + FACING] = facing
-        nodes[n + SIZE] = depth / np.sqrt(max(facing, _LEAST_FACING))
+        nodes[n + SLANT] = _ONE / np.sqrt(max(facing, _LEAST_FACING))
 
 
 @color_inline
@@ -335,7 +335,7 @@ def _open(nodes, count):
 
 @color_inline
 def aim_nodes(lens, shape, openness, scratch, count):
-    """Compute rows X to FACING of the first ``count`` nodes, and SIZE, from what `place_nodes` wrote."""
+    """Compute rows X to FACING of the first ``count`` nodes, and SLANT, from what `place_nodes` wrote."""
     _find_cells(lens, shape, openness, scratch, count)
     _open(scratch.nodes, count)
     _aim(lens, scratch.nodes, count)

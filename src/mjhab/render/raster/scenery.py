@@ -51,13 +51,23 @@ def make_scenery(scene: RenderScene) -> Scenery:
         scene.mat_color2,
         scene.mat_texture,
         scene.mat_pattern,
-        scene.mat_size,
+        1.0 / scene.mat_size,
+        _densities(scene),
         scene.mat_gloss,
         scene.texels,
     )
     lamps = Lamps(scene.light_pos, scene.light_color, np.empty((0, 1, 1), np.float32))
     placing = _placing(scene, geometry)
     return Scenery(geometry, placing, surface, lamps, scene.instance_seg, tone_curve())
+
+
+def _densities(scene: RenderScene) -> np.ndarray:
+    """See `Surface`; 0 for materials without a texture."""
+    textured = scene.mat_texture >= 0
+    sides = np.zeros((len(textured), 2))
+    sides[textured] = 2.0 ** scene.texels.bits[scene.mat_texture[textured]]
+    pattern = (sides / scene.mat_size).max(axis=1)
+    return np.where(scene.mat_pattern, pattern, np.sqrt(sides.prod(axis=1)))
 
 
 def _placing(scene: RenderScene, geometry: Geometry) -> Placing:

@@ -72,7 +72,7 @@ class ShadeScratch(NamedTuple):
 
     Attributes:
         total: (3, width) f32, sums of linear rgb over the samples of each pixel.
-        frames: (I, 24) f64, see `surfaces.fill_frame`; entry i is valid if ``stamp[i] == stamp[-1]``.
+        frames: (I, 28) f64, see `surfaces.fill_frame`; entry i is valid if ``stamp[i] == stamp[-1]``.
         stamp: (I + 1,) i64, number of the image that ``frames`` was filled for; the last entry is the current image.
         runs: (MOST_NODES + 1, RUN_COLUMNS) i64, see `nodes.START`.
         textured: (MOST_NODES + 1,) i64, the textured runs.
@@ -99,7 +99,7 @@ def make_shade_scratch(instances: int, width: int) -> ShadeScratch:
     """Allocate the scratch of one thread for I instances and rows of up to ``width`` samples."""
     return ShadeScratch(
         np.empty((3, width), np.float32),
-        np.empty((instances, 24)),
+        np.empty((instances, 28)),
         np.zeros(instances + 1, np.int64),
         np.empty((MOST_NODES + 1, RUN_COLUMNS), np.int64),
         np.empty(MOST_NODES + 1, np.int64),

@@ -17,7 +17,9 @@ class Surface(NamedTuple):
     """Attributes of faces and materials: arrays of `RenderScene`, color to gloss without their prefix ``mat_``.
 
     mesh_start (N,) i32: first face of each mesh; smooth (F,) bool: the normal varies over the face; extent (I, 3): size
-    of each instance's mesh along its axes [m], without the instance's scale.
+    of each instance's mesh along its axes [m], without the instance's scale; periods (M, 2): periods of a pattern per
+    metre; density (M,): texels of level 0 along the side where they are most, per metre of a pattern, else per length
+    in texture coordinates.
     """
 
     mesh_start: np.ndarray
@@ -32,17 +34,19 @@ class Surface(NamedTuple):
     color2: np.ndarray
     texture: np.ndarray
     pattern: np.ndarray
-    size: np.ndarray
+    periods: np.ndarray
+    density: np.ndarray
     gloss: np.ndarray
     texels: Texels
 
 
 @color_inline
-def fill_frame(poses, scratch, lens, i):
+def fill_frame(poses, extent, scratch, lens, i):
     """Fill ``frames[i]`` once per image.
 
     Entries 0:3 are the camera's position [m] and 3:12 its rotation matrix by rows, both in the frame of instance ``i``;
-    12:15 are 1 / scale, and 15:24 by rows the matrix from normals in the frame of the mesh to the world.
+    12:15 are 1 / scale, and 15:24 by rows the matrix from normals in the frame of the mesh to the world. 24 + a is the
+    longer of the axes other than a, and 27 the largest of 1 / scale.
     """
     if scratch.stamp[i] == scratch.stamp[-1]:
         return
@@ -64,6 +68,13 @@ def fill_frame(poses, scratch, lens, i):
     for r in range(3):
         for k in range(3):
             f[i, 15 + 3 * r + k] = rot[i, r, k] * f[i, 12 + k]
+    x = abs(extent[i, 0] * poses.scale[i, 0])
+    y = abs(extent[i, 1] * poses.scale[i, 1])
+    z = abs(extent[i, 2] * poses.scale[i, 2])
+    f[i, 24] = 1.0 if y >= z else 2.0
+    f[i, 25] = 0.0 if x >= z else 2.0
+    f[i, 26] = 0.0 if x >= y else 1.0
+    f[i, 27] = max(abs(f[i, 12]), abs(f[i, 13]), abs(f[i, 14]))
 
 
 @color_inline

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from mjhab.render.jit import color_inline
-from mjhab.render.raster.lighting import SIZE
+from mjhab.render.raster.lighting import SLANT
 from mjhab.render.raster.nodes import (
     ACROSS,
     DEPTH,
@@ -44,25 +44,23 @@ def _pattern_axes(surface, i, face, f, u, v, depth):
 
     They span the coordinate plane most parallel to the face; u runs along the longer side of the instance.
     """
-    e = surface.extent
     x, y, z = place_point(f, i, u, v, depth)
     x, y, z = normal_at(surface, f, i, face, x, y, z)
     x = abs(x)
     y = abs(y)
     z = abs(z)
-    sx = e[i, 0] / abs(f[i, 12])
-    sy = e[i, 1] / abs(f[i, 13])
-    sz = e[i, 2] / abs(f[i, 14])
-    if z >= x and z >= y:
-        return (0, 1) if sx >= sy else (1, 0)
-    if x >= y:
-        return (1, 2) if sy >= sz else (2, 1)
-    return (0, 2) if sx >= sz else (2, 0)
+    across = 0 if x >= y else 1
+    across = 2 if z >= max(x, y) else across
+    first = np.uint64(f[i, 24 + across])
+    return first, np.uint64(3 - across) - first
 
 
 @color_inline
-def _pick(axis, x, y, z):
-    return x if axis == 0 else (y if axis == 1 else z)
+def _along(f, i, axis, v, scale):
+    """Coordinate along an axis of instance ``i`` of a pixel at depth d and slope u: ``a + d * (b * u + c)``, scaled."""
+    ray = np.uint64(3) + np.uint64(3) * axis
+    ahead = f[i, ray + np.uint64(1)] * v - f[i, ray + np.uint64(2)]
+    return f[i, axis] * scale, f[i, ray] * scale, ahead * scale
 
 
 @color_inline
@@ -75,56 +73,24 @@ def _texture_map(surface, f, i, face, m, u, v, depth):
     Returns:
         s0, su, sc, t0, tu, tc.
     """
-    # The point of a pixel, in the frame of the instance, is o + d * (a * u + c) along each axis.
-    ox = f[i, 0]
-    oy = f[i, 1]
-    oz = f[i, 2]
-    ax = f[i, 3]
-    ay = f[i, 6]
-    az = f[i, 9]
-    cx = f[i, 4] * v - f[i, 5]
-    cy = f[i, 7] * v - f[i, 8]
-    cz = f[i, 10] * v - f[i, 11]
     if surface.pattern[m]:
         first, second = _pattern_axes(surface, i, face, f, u, v, depth)
-        wide = 1.0 / surface.size[m, 0]
-        high = 1.0 / surface.size[m, 1]
+        s0, su, sc = _along(f, i, first, v, surface.periods[m, 0])
+        t0, tu, tc = _along(f, i, second, v, surface.periods[m, 1])
         # Every instance has another offset in the pattern.
-        return (
-            _pick(first, ox, oy, oz) * wide + 0.37 * i,
-            _pick(first, ax, ay, az) * wide,
-            _pick(first, cx, cy, cz) * wide,
-            _pick(second, ox, oy, oz) * high + 0.23 * i,
-            _pick(second, ax, ay, az) * high,
-            _pick(second, cx, cy, cz) * high,
-        )
+        return s0 + 0.37 * i, su, sc, t0 + 0.23 * i, tu, tc
+    ox, ax, cx = _along(f, i, np.uint64(0), v, f[i, 12])
+    oy, ay, cy = _along(f, i, np.uint64(1), v, f[i, 13])
+    oz, az, cz = _along(f, i, np.uint64(2), v, f[i, 14])
     e = surface.face_uv
-    sx = e[face, 0, 0] * f[i, 12]
-    sy = e[face, 0, 1] * f[i, 13]
-    sz = e[face, 0, 2] * f[i, 14]
-    tx = e[face, 1, 0] * f[i, 12]
-    ty = e[face, 1, 1] * f[i, 13]
-    tz = e[face, 1, 2] * f[i, 14]
     return (
-        sx * ox + sy * oy + sz * oz + e[face, 0, 3],
-        sx * ax + sy * ay + sz * az,
-        sx * cx + sy * cy + sz * cz,
-        tx * ox + ty * oy + tz * oz + e[face, 1, 3],
-        tx * ax + ty * ay + tz * az,
-        tx * cx + ty * cy + tz * cz,
+        e[face, 0, 0] * ox + e[face, 0, 1] * oy + e[face, 0, 2] * oz + e[face, 0, 3],
+        e[face, 0, 0] * ax + e[face, 0, 1] * ay + e[face, 0, 2] * az,
+        e[face, 0, 0] * cx + e[face, 0, 1] * cy + e[face, 0, 2] * cz,
+        e[face, 1, 0] * ox + e[face, 1, 1] * oy + e[face, 1, 2] * oz + e[face, 1, 3],
+        e[face, 1, 0] * ax + e[face, 1, 1] * ay + e[face, 1, 2] * az,
+        e[face, 1, 0] * cx + e[face, 1, 1] * cy + e[face, 1, 2] * cz,
     )
-
-
-@color_inline
-def _density(surface, m, face, f, i):
-    """Texels of level 0 per metre on the surface, along the side where they are most."""
-    texture = surface.texture[m]
-    wide = 1 << surface.texels.bits[texture, 0]
-    high = 1 << surface.texels.bits[texture, 1]
-    if surface.pattern[m]:
-        return max(wide / surface.size[m, 0], high / surface.size[m, 1])
-    grow = max(abs(f[i, 12]), abs(f[i, 13]), abs(f[i, 14]))
-    return surface.face_density[face] * grow * np.sqrt(float(wide * high))
 
 
 @color_inline
@@ -175,13 +141,17 @@ def _place_run(surface, lens, shape, stripe, scratch, run, slot, stride):
     # The texture repeats: near 0 there are most digits of float32.
     s0 -= np.floor(s0 + depth * (su * u + sc))
     t0 -= np.floor(t0 + depth * (tu * u + tc))
-    density = np.float32(_density(surface, m, face, f, i) * inv)
+    density = surface.density[m] * inv
+    if not surface.pattern[m]:
+        density *= surface.face_density[face] * f[i, 27]
     texture = np.uint64(surface.texture[m])
     texels = surface.texels
     left = start
     while left < stop:
         end = stop if short or left + stride >= stop - 1 else left + stride
-        level = np.uint64(copy_for(scratch.nodes[n + SIZE] * density))
+        depth = scratch.pixels[np.uint64(left) + DEPTH]
+        slant = scratch.nodes[n + SLANT]
+        level = np.uint64(copy_for(slant * depth * np.float32(density)))
         wide = np.int32(max(texels.bits[texture, 0] - np.int64(level), 0))
         high = np.int32(max(texels.bits[texture, 1] - np.int64(level), 0))
         width = float(1 << wide)

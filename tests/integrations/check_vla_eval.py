@@ -5,14 +5,19 @@
 from __future__ import annotations
 
 import asyncio
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+import yaml
+from vla_eval import benchmarks
 from vla_eval.benchmarks.base import StepBenchmark
+from vla_eval.config import EvalConfig
 from vla_eval.registry import resolve_import_string
 from vla_eval.runners.sync_runner import SyncEpisodeRunner
 from vla_eval.specs import check_specs
 
+UPSTREAM = Path(__file__).parents[2] / "docs" / "upstream" / "vla_eval"
 STEPS = 6
 ROW = "set_table.close.kitchen_counter-drawer3"
 
@@ -35,11 +40,28 @@ class Still:
         self.ended.append(result)
 
 
+def configurations() -> dict[str, EvalConfig]:
+    """The configurations of `UPSTREAM`, whose class is then found as in a harness that has it."""
+    benchmarks.__path__.append(str(UPSTREAM / "src" / "vla_eval" / "benchmarks"))
+    found = {}
+    for path in (UPSTREAM / "configs").rglob("*.yaml"):
+        (entry,) = yaml.safe_load(path.read_text(encoding="utf-8"))["benchmarks"]
+        found[path.stem] = EvalConfig.from_dict(entry)
+    return found
+
+
 def main() -> None:
-    benchmark_class = resolve_import_string("mjhab.integrations.vla_eval:MjhabBenchmark")
+    configs = configurations()
+    for name, config in configs.items():
+        made = resolve_import_string(config.benchmark)(**config.params)
+        most = made.get_metadata()["max_episodes_per_task"]
+        assert config.episodes_per_task <= most, (name, most)
+        assert len(made.get_tasks()) == {"eval": 11, "ms_hab_7": 7, "smoke_test": 1}[name]
+    smoke = configs["smoke_test"]
+    benchmark_class = resolve_import_string(smoke.benchmark)
     assert issubclass(benchmark_class, StepBenchmark)
     assert benchmark_class.configure_render("cpu") == {}
-    benchmark = benchmark_class(rows=[ROW], camera_size=32)
+    benchmark = benchmark_class(**smoke.params)
     (task,) = benchmark.get_tasks()
     assert task["name"] == ROW
     spec = benchmark.get_action_spec()
@@ -52,10 +74,10 @@ def main() -> None:
     )
     server = Still()
     runner = SyncEpisodeRunner()
-    for index in range(2):
+    for index in range(smoke.episodes_per_task):
         numbered = {**task, "episode_idx": index}
         result = asyncio.run(
-            runner.run_episode(benchmark, numbered, server, max_steps=STEPS)
+            runner.run_episode(benchmark, numbered, server, max_steps=smoke.max_steps)
         )
         assert set(result["metrics"]) == set(benchmark.get_metric_keys())
         assert result["steps"] == STEPS and result["metrics"]["success"] is False

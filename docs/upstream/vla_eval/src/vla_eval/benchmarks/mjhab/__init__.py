@@ -1,0 +1,1 @@
+"""The Home Assistant Benchmark on MuJoCo."""

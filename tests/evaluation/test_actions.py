@@ -10,7 +10,12 @@ import pytest
 
 import mjhab
 from mjhab.evaluation.datasets import actions
-from mjhab.evaluation.datasets.actions import ConvertedReplay, _in_mode, replay_converted
+from mjhab.evaluation.datasets.actions import (
+    ConvertedReplay,
+    _as_deltas,
+    _in_mode,
+    replay_converted,
+)
 from mjhab.evaluation.datasets.specs import ReplaySpec
 from mjhab.robots.controllers import make_controller
 from mjhab.robots.fetch.robot import ROBOT
@@ -58,6 +63,32 @@ def test_converted_actions_command_the_same(
     assert np.linalg.norm(here - there, axis=1).max() < most_m
     rest = [column for column in range(len(ROBOT.joints)) if column not in arm]
     np.testing.assert_array_equal(commanded[:, rest], recorded[:, rest])
+
+
+@pytest.mark.parametrize("mode", ["pd_ee_target_delta_pose", "pd_ee_delta_pose"])
+def test_actions_of_the_hand_become_deltas_of_joints(mode: str) -> None:
+    """What they command, also where a command depends on the one before; intended actions change no memory."""
+    random = np.random.default_rng(2)
+    steps = 12
+    moves = random.uniform(-0.06, 0.06, (steps, 12)).astype(np.float32)
+    source = make_controller(mode, 1)
+    q = np.tile(ROBOT.rest, (steps, 1))
+    wanted = np.empty_like(q)
+    source.reset(np.ones(1, bool), _State(q[:1]))
+    for t in range(steps):
+        wanted[t] = source.command(moves[t][None].astype(float), q[t][None])[0]
+        if t + 1 < steps:
+            # Servos lag behind.
+            q[t + 1] += 0.7 * (wanted[t] - q[t])
+    executed, intended = _as_deltas(
+        make_controller(mode, 1), (moves, np.zeros_like(moves)), q, np.zeros(steps, bool)
+    )
+    arm = list(ROBOT.arm_columns)
+    commanded = make_controller("pd_joint_delta_pos", steps).command(executed, q)
+    np.testing.assert_allclose(commanded[:, arm], wanted[:, arm], atol=1e-6)
+    np.testing.assert_array_equal(executed[:, len(arm) :], moves[:, 6:])
+    assert not intended[:, len(arm) :].any()
+    assert np.abs(intended - executed)[:, : len(arm)].max() > 0.01
 
 
 def test_converted_actions_are_replayed_and_counted(

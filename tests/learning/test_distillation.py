@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from mjhab.data.select.interventions import taught_steps
 from mjhab.data.store.places import episodes
 from mjhab.learning.checkpoint import load_checkpoint
 from mjhab.learning.runs.intervention import (
@@ -15,7 +16,6 @@ from mjhab.learning.runs.intervention import (
     RELABELLED,
     TEACHER,
     Relabelling,
-    expert_steps,
 )
 from mjhab.learning.runs.specs import DaggerSpec, scene_names
 from mjhab.learning.train import train
@@ -138,7 +138,7 @@ def test_a_run_learns_from_all_episodes_of_the_student(tmp_path: Path) -> None:
     assert len(acted) == 1 and not any(e.record.success_once for e in acted)
     for episode in acted:
         assert tuple(episode.actors) == OF_DISTILLATION
-        assert expert_steps(episode).all()
+        assert taught_steps(episode).all()
         wanted = episode.array("actions_intended")
         assert np.abs(wanted - episode.array("actions")).max() > 0.1
     about = load_checkpoint(run / "student.safetensors").about

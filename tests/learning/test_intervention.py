@@ -15,11 +15,12 @@ from mjhab.data.record.job import Job
 from mjhab.data.record.pools import InlinePool
 from mjhab.data.record.recorder import Recorder
 from mjhab.data.record.workers import Stage, WorkerSpec
+from mjhab.data.select.interventions import taught_steps
 from mjhab.data.store.places import episodes
 from mjhab.data.store.shard import ShardWriter
 from mjhab.learning.configs import DaggerConfig, InputConfig
 from mjhab.learning.demos import load_demonstrations, observation_spec_of_data
-from mjhab.learning.runs.intervention import Intervention, expert_steps, prefix_length
+from mjhab.learning.runs.intervention import Intervention, prefix_length
 from mjhab.rollout.loop import rollout
 from tests.data.fake_world import FakeEnv
 from tests.learning.test_demos import EVERY
@@ -93,7 +94,7 @@ def test_the_student_acts_first_and_the_expert_from_the_drawn_step_on(
         names = [episode.actors[number] for number in episode.array("actor")]
         assert names == ["student"] * prefix + ["expert"] * (episode.steps - prefix)
         np.testing.assert_array_equal(
-            expert_steps(episode), np.arange(episode.steps) >= prefix
+            taught_steps(episode), np.arange(episode.steps) >= prefix
         )
     assert len(lengths) > 1
     # The expert thinks about a world only when it acts there, and plans anew once per episode.
@@ -131,7 +132,7 @@ def test_a_student_alone_is_learned_from(tmp_path: Path) -> None:
             0,
             [Recorder(writer, env, {"name": "student"})],
         )
-    assert all(expert_steps(episode).all() for episode in episodes(tmp_path / "a.h5"))
+    assert all(taught_steps(episode).all() for episode in episodes(tmp_path / "a.h5"))
 
 
 def test_prefixes_begin_short_and_grow() -> None:

@@ -20,10 +20,10 @@ import numpy as np
 from PIL import Image
 
 import mjhab
+from mjhab.core.action_notes import HUMAN
 from mjhab.evaluation.evaluate import EvalSpec
 from mjhab.viewer.export.page import MAX_BYTES, export_page
 from mjhab.viewer.pages.app import Viewer
-from mjhab.viewer.sources.hand import HUMAN
 from mjhab.viewer.sources.live import LiveSession
 from mjhab.viewer.sources.pace import RealTimeClock
 from mjhab.viewer.sources.replay import Replay

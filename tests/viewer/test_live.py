@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import json
 import math
 import threading
 import time
@@ -13,11 +14,15 @@ import pytest
 
 from mjhab.cli.main import main
 from mjhab.cli.view import _source
+from mjhab.core.action_notes import HUMAN
+from mjhab.data.select.interventions import intervention_steps
+from mjhab.data.select.query import Filter
+from mjhab.data.select.sets import select
 from mjhab.data.store.damage import episode_problems
 from mjhab.data.store.reading import open_shard
 from mjhab.envs.sequential import SequentialTaskEnv
 from mjhab.evaluation.evaluate import EvalSpec
-from mjhab.viewer.sources.hand import HUMAN
+from mjhab.viewer.sources.hand_input import HOLD_KEY
 from mjhab.viewer.sources.live import LiveSession
 from mjhab.viewer.sources.pace import RealTimeClock
 from mjhab.viewer.spec import ViewSpec
@@ -114,22 +119,26 @@ def test_restart_keeps_the_episode_of_the_watched_world() -> None:
 
 def test_a_person_takes_over_and_gives_back(tmp_path: Path) -> None:
     shard = tmp_path / "mine.h5"
-    with session("zero", shard, playing=False) as made:
+    with session("random", shard, playing=False) as made:
         until_step(made, 0)
         for step in range(1, HORIZON + 1):
             if step in (3, 6):
-                made.set_hand(step == 3)
+                made.hear_hand(json.dumps({"keys": [HOLD_KEY] if step == 3 else []}))
                 until(lambda step=step: made.hand_drives == (step == 3))
             made.pace.step_once()
             until_step(made, step)
         until(lambda: is_over(made))
         assert "as human" in made.recording
         until(lambda: "1 episodes" in made.recording)
+    found = select(shard, Filter("interventions == 3 and 'human' in actors"))
+    assert len(found.matched) == 1
     with open_shard(shard) as found:
         (episode,) = found
         assert episode.run.policy == HUMAN and not episode_problems(episode)
         who = [episode.actors[k] for k in episode.array("actor")]
-        assert who == ["zero"] * 2 + [HUMAN] * 3 + ["zero"] * 3
+        assert who == ["random"] * 2 + [HUMAN] * 3 + ["random"] * 3
+        assert episode.run.config["policy"]["corrected"]["name"] == "random"
+        assert np.flatnonzero(intervention_steps(episode)).tolist() == [2, 3, 4]
         np.testing.assert_array_equal(
             episode.array("actions"), episode.array("actions_intended")
         )

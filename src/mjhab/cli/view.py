@@ -6,11 +6,11 @@ import threading
 from typing import TYPE_CHECKING
 
 from mjhab.cli.output import print_json
+from mjhab.core.action_notes import HUMAN
 from mjhab.core.files.interrupts import sigterm_interrupts
 from mjhab.data.select.query import read_filter
 from mjhab.evaluation.resolve import full_spec, inspect_policy
 from mjhab.viewer import require_viser
-from mjhab.viewer.sources.hand import HUMAN
 from mjhab.viewer.spec import ViewSpec
 
 if TYPE_CHECKING:

@@ -8,6 +8,13 @@ from typing import NamedTuple
 
 import numpy as np
 
+HUMAN = "human"
+"""Name of a person as an actor, and of the policy of episodes in which a person acted."""
+EXPERT = "expert"
+STUDENT = "student"
+TAKE_OVER = "take_over"
+"""Name of the policy of episodes that a student begins and the expert finishes."""
+
 
 class Doing(NamedTuple):
     """What a policy is doing in a control step, in its own words.

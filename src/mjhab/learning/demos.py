@@ -17,6 +17,7 @@ import torch
 from mjhab.core.arrays import Array
 from mjhab.core.errors import UsageError, fault
 from mjhab.core.names import kind_of
+from mjhab.data.select.interventions import taught_steps
 from mjhab.data.select.query import Filter
 from mjhab.data.select.sets import first_of_targets, select
 from mjhab.data.select.until import Until
@@ -30,7 +31,6 @@ from mjhab.learning.observation.spec import (
     described,
     profile_of,
 )
-from mjhab.learning.runs.intervention import expert_steps
 from mjhab.rollout.records import EpisodeRecord
 from mjhab.tasks.subtasks.registry import SUBTASKS
 
@@ -244,7 +244,7 @@ def read_episode(
     _check_layout(episode, layout)
     steps = Until(hold_steps).steps(episode.array("reward/success"))
     seen = encode_episode(episode, layout, steps)
-    usable = np.flatnonzero(expert_steps(episode)[:steps])
+    usable = np.flatnonzero(taught_steps(episode)[:steps])
     return Demonstrations(
         seen.vector,
         seen.images,

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 import time
+from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from contextlib import ExitStack
 from typing import Any
@@ -142,7 +143,9 @@ class _Rollout:
             | np.array([bool(fault) for fault in faults])
         )
         for w in np.flatnonzero(self.active):
-            self._trace(int(w)).add(int(w), int(self.steps[w]), self.info)
+            trace = self._trace(int(w))
+            trace.actors[notes.actors[int(notes.actor[w])]] += 1
+            trace.add(int(w), int(self.steps[w]), self.info)
         view = StepView(
             self.active.copy(),
             self.steps.copy(),
@@ -250,6 +253,7 @@ class _Trace:
         self.index = index
         self.episode = episode
         self.started = time.perf_counter()
+        self.actors: Counter[str] = Counter()
         self.force: list[float] = []
         self.finger_force: float | None = None
         self.events: list[Event] = []
@@ -316,6 +320,7 @@ class _Trace:
             ),
             skipped_homes=tuple(episode.get("skipped_homes", ())),
             perturbation=plain(episode.get("perturbation", {})),
+            actors=dict(self.actors) if len(self.actors) > 1 else {},
         )
 
 

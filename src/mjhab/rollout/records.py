@@ -24,6 +24,7 @@ OPTIONAL = (
     "teleported",
     "skipped_homes",
     "perturbation",
+    "actors",
 )
 """Fields of both records that are left out of a file where they are empty; older files lack them."""
 Event = tuple[int, str]
@@ -120,9 +121,10 @@ class EpisodeRecord:
     empty in records of older versions. ``error``: why the policy could not go on (`rollout.policy.Fallible`) and the
     episode ended, empty where it could. ``peak_force`` is that of ``force``, ``peak_finger_force`` [N] that of both
     fingers together, None in records of older versions. ``skipped_homes`` had no room for the episode, so that ``home``
-    took their place. ``perturbation``: what was perturbed, by axis (`config.perturbing`), or empty. ``config_hash``
-    names the configuration of the run folder that the record belongs to (`store.config_hash`); it is empty outside of a
-    run folder and in those of older versions, and takes no part in comparisons.
+    took their place. ``perturbation``: what was perturbed, by axis (`config.perturbing`), or empty. ``actors``: control
+    steps of each who acted, where several did (`core.action_notes`), else empty. ``config_hash`` names the
+    configuration of the run folder that the record belongs to (`store.config_hash`); it is empty outside of a run
+    folder and in those of older versions, and takes no part in comparisons.
     """
 
     seed: int
@@ -154,6 +156,7 @@ class EpisodeRecord:
     peak_finger_force: float | None = None
     skipped_homes: tuple[str, ...] = ()
     perturbation: Mapping[str, Any] = field(default_factory=dict)
+    actors: Mapping[str, int] = field(default_factory=dict)
 
     @property
     def steps_to_success(self) -> int | None:
@@ -232,6 +235,10 @@ def _values(data: Mapping[str, Any]) -> dict[str, Any]:
         values[name] = _number(name, data[name])
     values["style"] = dict(data.get("style", {}))
     values["perturbation"] = _mapping("perturbation", data.get("perturbation", {}))
+    values["actors"] = {
+        _sentence(name): _count("actors", steps)
+        for name, steps in _mapping("actors", data.get("actors", {})).items()
+    }
     values["instruction"] = _sentence(data.get("instruction", ""))
     values["instructions"] = tuple(
         _sentence(text) for text in data.get("instructions", ())

@@ -36,6 +36,8 @@ class ViewSpec(EnvSpec):
 
     By hand, recorded: `mjhab view --subtask pick --policy human --record runs/human/mine.h5`
 
+    Corrected while C is held: `mjhab view --subtask pick --policy mine.safetensors --record runs/human/fixed.h5`
+
     One episode as a page: `mjhab view runs/pick --export pick.html`
 
     From another machine: `ssh -L 8080:localhost:8080 HOST`, then open http://localhost:8080. Needs

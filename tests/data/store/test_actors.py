@@ -17,7 +17,9 @@ from mjhab.core.action_notes import ActionNotes
 from mjhab.data.export.lerobot.parts import FilmTools
 from mjhab.data.record.recorder import Recorder
 from mjhab.data.select.dataset import Normalization, Window, WindowDataset
-from mjhab.data.select.sets import merge
+from mjhab.data.select.interventions import intervention_steps, taught_steps
+from mjhab.data.select.query import Filter
+from mjhab.data.select.sets import merge, select
 from mjhab.data.store.checking import check, repair
 from mjhab.data.store.damage import episode_problems
 from mjhab.data.store.episode_data import EpisodeData
@@ -37,10 +39,13 @@ NO_FILMS = FilmTools(
 
 
 class Takeover(RandomPolicy):
-    """A student that acts with noise; in even episodes the expert takes over from the second subtask on."""
+    """A student that acts with noise; in even episodes another one takes over from the second subtask on."""
 
     name = "takeover"
-    actors = ("student", "expert")
+
+    def __init__(self, seed: int, other: str = "expert") -> None:
+        super().__init__(seed)
+        self.actors = ("student", other)
 
     def act(self, obs: Any, info: Mapping[str, Any]) -> np.ndarray:
         actions = super().act(obs, info)
@@ -281,6 +286,46 @@ def test_exports_hold_both(source: Path, tmp_path: Path) -> None:
     assert set(rows["actor_index"].to_pylist()) == {0, 1, 2}
     meta = pq.read_table(tmp_path / "3.0/meta/episodes/chunk-000/file-000.parquet")
     assert meta["lacks"].to_pylist() == [""] * 6 + ["actions_intended,actor"] * 2
+
+
+@pytest.mark.parametrize(
+    ("policy", "other"), [("human", "human"), ("take_over", "expert"), ("mine", "expert")]
+)
+def test_corrections_are_found_filtered_and_exported(
+    tmp_path: Path, policy: str, other: str
+) -> None:
+    """Of a person, and of the expert in rounds of DAgger; an expert that does a subtask by itself corrects nobody."""
+    path = tmp_path / "a.h5"
+    env: Any = FakeEnv(1)
+    with ShardWriter(path) as writer:
+        recorder = Recorder(writer, env, {"name": policy})
+        rollout(env, Takeover(0, other), range(2), 3, [recorder])
+    corrected = policy != "mine"
+    marks = []
+    with open_shard(path) as shard:
+        for episode in shard:
+            mask = episode.array("actor") == 1
+            np.testing.assert_array_equal(intervention_steps(episode), mask & corrected)
+            np.testing.assert_array_equal(taught_steps(episode), mask)
+            assert episode.record.actors.get(other, 0) == mask.sum()
+            marks += (mask & corrected).tolist()
+    assert any(marks) == corrected
+    found = select(path, Filter("interventions > 0"))
+    assert len(found.matched) == int(corrected)
+    assert len(select(path, Filter(f"'{other}' in actors")).matched) == 1 + (
+        policy == other
+    )
+
+    out = tmp_path / "lerobot"
+    to_lerobot([path], out, NO_FILMS)
+    rows = pq.read_table(out / "data/chunk-000/file-000.parquet")
+    assert rows["intervention"].to_pylist() == marks
+    said = f"marks the {sum(marks)} frames of 1 episodes"
+    assert (said in (out / "README.md").read_text()) == corrected
+    files = to_maniskill([path], tmp_path / "maniskill").files
+    with h5py.File(files[0]) as file:
+        told = [file[f"traj_{k}/intervention"][:] for k in range(2)]  # type: ignore[index]
+    assert np.concatenate(told).tolist() == marks
 
 
 def _read(path: Path) -> list[tuple[np.ndarray, np.ndarray, np.ndarray, tuple[str, ...]]]:

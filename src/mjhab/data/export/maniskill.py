@@ -2,10 +2,10 @@
 
 The files are ``<out>/<task>/<subtask>/<target>.h5`` with a ``.json`` each, as mshab/envs/wrappers/record.py writes
 them. MS-HAB's scripts concatenate the members of ``obs/agent`` and then ``obs/extra`` in the order of the HDF5 groups,
-so these keep the order of mjhab's ``obs/state``. They train on ``actions``, the executed actions. ``actions_intended``
-and ``actor`` (an index into "actors" of the ``.json``) are additional datasets, ``env_states`` and ``info`` those of
-`maniskill_states`. The pose of the object is in the axes
-of its scan ("object_axes" of the ``.json``: "scan"), except for runs of older versions, which lack them ("object").
+so these keep the order of mjhab's ``obs/state``. They train on ``actions``, the executed actions. ``actions_intended``,
+``actor`` (an index into "actors" of the ``.json``) and ``intervention`` are additional datasets, ``env_states`` and
+``info`` those of `maniskill_states`. The pose of the object is in the axes of its scan ("object_axes" of the ``.json``:
+"scan"), except for runs of older versions, which lack them ("object").
 The ``.json`` lists successful episodes first; "episode_id" is the number of the trajectory.
 """
 
@@ -42,6 +42,7 @@ from mjhab.data.imports.ms_hab_layout import (
 )
 from mjhab.data.select.describing import teleported_steps
 from mjhab.data.select.facts import target_of
+from mjhab.data.select.interventions import intervention_steps
 from mjhab.data.select.sets import check_outside, nothing_passes, select
 from mjhab.data.select.until import Until
 from mjhab.data.store.damage import refuse_damage
@@ -222,6 +223,7 @@ def _put(group: h5py.Group, episode: RecordedEpisode, steps: int) -> None:
     group["success"] = episode.array("reward/success")[:steps].astype(bool)
     group["fail"] = episode.array("reward/fail")[:steps].astype(bool)
     group["rewards"] = episode.array("reward/total")[:steps].astype(np.float32)
+    group["intervention"] = intervention_steps(episode)[:steps]
     group["is_teleported"] = teleported_steps(episode)[:steps]
 
 

@@ -10,6 +10,7 @@ from typing import Any
 
 from mjhab.core.names import kind_of
 from mjhab.core.timing import STEP_SECONDS
+from mjhab.data.select.interventions import corrector_of
 from mjhab.data.store.episode_data import RunInfo
 from mjhab.rollout.records import EpisodeRecord
 from mjhab.tasks.household.registry import TASKS
@@ -43,6 +44,14 @@ def target_of(record: EpisodeRecord) -> str:
 def events_of(record: EpisodeRecord) -> list[str]:
     """Names of all events in order."""
     return [name for _, name in record.events]
+
+
+def _acted(record: EpisodeRecord, run: RunInfo) -> list[str]:
+    return list(record.actors) or [run.policy]
+
+
+def _corrected(record: EpisodeRecord, run: RunInfo) -> int:
+    return record.actors.get(corrector_of(run, record.actors), 0)
 
 
 def _ended(record: EpisodeRecord, name: str) -> list[str]:
@@ -83,6 +92,14 @@ def _asked() -> tuple[Fact, ...]:
             TEXT,
             "name of what acted",
             lambda _, run: str(run.config.get("policy", {}).get("name", "")),
+        ),
+        Fact("actors", TEXTS, "who acted", _acted),
+        Fact(
+            "interventions",
+            NUMBER,
+            "control steps in which a person corrected a policy, or in rounds of DAgger the expert its student; 0 in "
+            "older recordings",
+            _corrected,
         ),
         Fact("robot", TEXT, "name of the robot", lambda _, run: run.robot),
         Fact(

@@ -13,6 +13,7 @@ from mjhab.core.rotations import rotation_vector
 from mjhab.data.export.columns import action_columns
 from mjhab.data.record.batches import batches
 from mjhab.data.record.worlds import RecordedEnv
+from mjhab.data.select.describing import teleported_steps
 from mjhab.data.select.query import Filter
 from mjhab.data.store.episode_data import RunInfo
 from mjhab.data.store.reading import RecordedEpisode
@@ -47,24 +48,77 @@ def converted(episode: RecordedEpisode, mode: str) -> tuple[np.ndarray, np.ndarr
     they were recorded. Commands beyond the range of an entry are clipped, as the environment does.
 
     Raises:
-        UsageError: the episode was recorded in another mode than ``pd_joint_delta_pos``, or without states.
+        UsageError: neither the recorded mode nor ``mode`` is ``pd_joint_delta_pos``; the two have other servos; or the
+            episode was recorded without states.
     """
-    if not mode:
-        return episode.array("actions"), episode.array("actions_intended")
     run = episode.run
     recorded = run.config.get("env", {}).get("control_mode", DEFAULT_MODE)
-    if recorded != DEFAULT_MODE:
+    given = (episode.array("actions"), episode.array("actions_intended"))
+    if mode in ("", recorded):
+        return given
+    controller = _controller(run, mode)
+    source = _controller(run, recorded)
+    if DEFAULT_MODE not in (mode, recorded) or source.drives != controller.drives:
         raise fault(
             f"episode {episode.name} of {episode.shard.path}",
-            f"was recorded in the control mode {recorded}; actions of {DEFAULT_MODE} can be converted.",
+            f"was recorded in the control mode {recorded}; actions of {DEFAULT_MODE} can be converted, and those of "
+            f"modes with the same servos to {DEFAULT_MODE}.",
         )
-    controller = _controller(run, mode)
     columns = run.layout["columns"]["robot_q"]
     q = episode.array("states/qpos")[:-1][:, columns]
-    return (
-        _in_mode(controller, episode.array("actions"), q),
-        _in_mode(controller, episode.array("actions_intended"), q),
-    )
+    if recorded == DEFAULT_MODE:
+        executed, intended = (_in_mode(controller, each, q) for each in given)
+    else:
+        executed, intended = _as_deltas(source, given, q, teleported_steps(episode))
+    return executed, intended
+
+
+def _as_deltas(
+    source: Controller,
+    given: tuple[np.ndarray, np.ndarray],
+    q: np.ndarray,
+    teleported: np.ndarray,
+) -> list[np.ndarray]:
+    """Actions (N, A) of another mode, taken at joint positions (N, J), in the default mode.
+
+    Args:
+        source: controller of that mode, for one world.
+        given: executed and intended actions. What the mode remembers follows from those executed.
+        q: joint positions.
+        teleported: (N,) bool, steps after which the mode begins anew.
+    """
+    arm = list(source.robot.arm_columns)
+    aims = [np.empty((len(q), len(arm))) for _ in given]
+    begins = True
+    for t, now in enumerate(q[:, None]):
+        if begins:
+            source.reset(np.ones(1, bool), _Joints(now))
+        state = source.get_state(0)
+        for each, aim in zip(reversed(given), reversed(aims), strict=True):
+            source.set_state(0, state)
+            aim[t] = source.command(each[t][None].astype(float), now)[0, arm]
+        begins = teleported[t]
+    return [
+        np.clip(
+            np.concatenate(
+                [
+                    (aim - q[:, arm]) / source.limits.joint_delta,
+                    each[:, source.gripper :],
+                ],
+                axis=1,
+            ),
+            -1.0,
+            1.0,
+        ).astype(np.float32)
+        for each, aim in zip(given, aims, strict=True)
+    ]
+
+
+@dataclass(frozen=True)
+class _Joints:
+    """The part of a state that a controller reads: joint positions (1, J)."""
+
+    robot_q: np.ndarray
 
 
 def _controller(run: RunInfo, mode: str) -> Controller:

@@ -32,7 +32,7 @@ MAX_QUALITY = 51
 """Largest constant rate factor of x264, for the smallest files."""
 
 
-CONVERTED = ("pd_joint_pos", "pd_ee_delta_pose", "pd_ee_pose")
+CONVERTED = ("pd_joint_pos", "pd_ee_delta_pose", "pd_ee_pose", "pd_joint_delta_pos")
 """Control modes that recorded actions can be converted to."""
 
 
@@ -162,7 +162,8 @@ class LerobotSpec(ExportSpec):
     of MS-HAB."""
     actions: Annotated[str, Flag(metavar="MODE", shown="default: as recorded")] = ""
     """Convert the actions to a control mode: pd_joint_pos (absolute joints), pd_ee_delta_pose or pd_ee_pose (end
-    effector). `mjhab replay --verify --actions MODE` tells whether converted actions succeed."""
+    effector), or what was recorded in these modes to pd_joint_delta_pos. `mjhab replay --verify --actions MODE` tells
+    whether converted actions succeed."""
     language: bool = False
     """Store skills and wordings in the column language_persistent, too; LeRobot before 0.6 cannot load such a set."""
     splits: Annotated[

@@ -11,13 +11,10 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from mjhab.core.action_notes import ActionNotes
+from mjhab.core.action_notes import EXPERT, STUDENT, TAKE_OVER, ActionNotes
 from mjhab.core.seeding import stream
-from mjhab.data.store.reading import RecordedEpisode
 from mjhab.rollout.policy import ACTION_SIZE, Correctable, Policy
 
-STUDENT = "student"
-EXPERT = "expert"
 ACTORS = (STUDENT, EXPERT)
 """Names of the possible actors; every recorded control step has the index of its actor."""
 RELABELLED = "relabelled"
@@ -63,7 +60,7 @@ class Intervention:
         width: of an action (A).
     """
 
-    name = "take_over"
+    name = TAKE_OVER
 
     def __init__(
         self,
@@ -175,14 +172,3 @@ class Relabelling:
 def prefix_length(seed: int, index: int, longest: int) -> int:
     """Control steps for which the student acts in an episode, from 0 to ``longest``."""
     return int(stream(seed, "take_over", index).integers(0, longest + 1))
-
-
-def expert_steps(episode: RecordedEpisode) -> np.ndarray:
-    """(N,) bool mask of the control steps of a recorded episode that imitation learns from.
-
-    If a student and another policy acted, the student's steps are excluded. If the student acted alone, for instance in
-    data of `mjhab generate --policy CHECKPOINT`, all steps are included.
-    """
-    if STUDENT not in episode.actors or len(episode.actors) == 1:
-        return np.ones(episode.steps, bool)
-    return episode.array("actor") != episode.actors.index(STUDENT)

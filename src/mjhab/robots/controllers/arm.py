@@ -93,7 +93,6 @@ def with_row(target: Array, world: int, state: dict[str, np.ndarray], key: str) 
     """
     if key not in state or np.shape(state[key]) != target.shape[1:]:
         got = {name: np.shape(value) for name, value in state.items()}
-        got = {name: np.shape(value) for name, value in state.items()}
         raise wrong_value(
             "controller state",
             got,

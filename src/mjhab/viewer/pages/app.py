@@ -23,12 +23,13 @@ from mjhab.serving.server import LOCAL_HOSTS
 from mjhab.sim.mujoco.cpu import CpuSimulator
 from mjhab.viewer.drawn.cameras import CameraThread
 from mjhab.viewer.drawn.glb import HomeFiles, home_digest, home_files
+from mjhab.viewer.drawn.handle import PoseHandle
 from mjhab.viewer.drawn.posing import Pose, Poser, base_of, between
 from mjhab.viewer.drawn.stage import MIN_MOVE, DrawnStage
 from mjhab.viewer.pages.gateway import Gateway
 from mjhab.viewer.pages.panels import Panels
 from mjhab.viewer.pages.playhead import Playhead
-from mjhab.viewer.sources.hand import GRIPPER_KEY, KEYS
+from mjhab.viewer.sources.hand_input import GRIPPER_KEY, HOLD_KEY, KEYS
 from mjhab.viewer.sources.source import ViewSource
 from mjhab.viewer.sources.track import Track
 
@@ -93,6 +94,7 @@ class Viewer:
         self.playhead = Playhead(source)
         self._start = _HeldStart(self.playhead, hold)
         self.stage = DrawnStage(self._server)
+        self._handle = PoseHandle(self._server.scene, source.aim_hand)
         self.panels = Panels(
             self._server,
             source.choices,
@@ -190,6 +192,7 @@ class Viewer:
         self.stage.place(pose)
         self._follow(pose, sim)
         self._mark(track, head.step, pose, sim)
+        self._show_handle(pose, sim)
         self.frames += 1
         if math.isinf(self.first_frame_at):
             self.first_frame_at = time.perf_counter()
@@ -240,6 +243,12 @@ class Viewer:
         point = np.asarray(goal, float) if goal is not None else np.zeros(0)
         self.stage.mark_goal(point if point.shape == (3,) and point.any() else None)
 
+    def _show_handle(self, pose: Pose, sim: CpuSimulator) -> None:
+        """Show the handle of the hand while the newest state of a world that is driven by hand is shown."""
+        root = sim.addresses.robot_body[sim.layout.robot.arm_root]
+        shown = self.source.hand_pose if self.playhead.following else None
+        self._handle.show(np.concatenate([pose.pos[root], pose.quat[root]]), shown)
+
     def _look(self, pose: Pose) -> None:
         if self._cameras is not None and self.clients and self._shown is not None:
             self._cameras.look(self.source.sim, self._shown_home, pose)
@@ -257,7 +266,9 @@ class Viewer:
 
     def _tell_hand(self, driving: bool) -> None:
         """Tell `hand.js` in all pages whether to send input, and which keys."""
-        message = json.dumps({"hand": driving, "keys": [*KEYS, GRIPPER_KEY]})
+        hold = HOLD_KEY if self.source.is_live else ""
+        keys = [*KEYS, GRIPPER_KEY, hold]
+        message = json.dumps({"hand": driving, "keys": keys, "hold": hold})
         if message != self._sent_hand:
             self._sent_hand = message
             self._gateway.tell(message)

@@ -1,10 +1,10 @@
-// Sends which keys are held and how the sticks of a gamepad stand, while the server says that the hand drives; and once
-// that the home is drawn.
+// Sends which keys are held and how the sticks of a gamepad stand, while the server says that the hand drives, and at any
+// time the key that makes it drive; and once that the home is drawn.
 (() => {
   const path = new URL("mjhab/hand", location.href.split("?")[0].replace(/[^/]*$/, ""));
   path.protocol = location.protocol === "https:" ? "wss:" : "ws:";
   let socket = null;
-  let state = { hand: false, keys: [] };
+  let state = { hand: false, keys: [], hold: "" };
   const held = new Set();
   // A menu keeps the focus after a choice, and would take the keys of the hand as a search.
   const menu = (element) => element.getAttribute("aria-haspopup") === "listbox";
@@ -15,14 +15,15 @@
     socket.onmessage = (event) => {
       const drove = state.hand;
       state = JSON.parse(event.data);
-      if (!state.hand) held.clear();
+      if (!state.hand) held.forEach((code) => { if (code !== state.hold) held.delete(code); });
       if (state.hand && !drove && document.activeElement) document.activeElement.blur();
     };
-    socket.onclose = () => { state = { hand: false, keys: [] }; setTimeout(open, 1000); };
+    socket.onclose = () => { state = { hand: false, keys: [], hold: "" }; setTimeout(open, 1000); };
   };
   const send = (value) => { if (socket && socket.readyState === 1) socket.send(JSON.stringify(value)); };
   const take = (event, down) => {
-    if (!state.hand || typing(event) || event.ctrlKey || event.metaKey || event.altKey) return;
+    const drives = state.hand || event.code === state.hold;
+    if (!drives || typing(event) || event.ctrlKey || event.metaKey || event.altKey) return;
     if (!state.keys.includes(event.code)) return;
     // The page below would move its camera with the same keys.
     event.preventDefault();
@@ -66,8 +67,8 @@
   requestAnimationFrame(watch);
   window.addEventListener("keydown", (event) => take(event, true), true);
   window.addEventListener("keyup", (event) => take(event, false), true);
-  window.addEventListener("blur", () => { held.clear(); if (state.hand) report(); });
+  window.addEventListener("blur", () => { held.clear(); if (state.hand || state.hold) report(); });
   // The server lets go of what it has not heard of for a while.
-  setInterval(() => { if (state.hand && (held.size || pad())) report(); }, 50);
+  setInterval(() => { if ((state.hand || state.hold) && (held.size || pad())) report(); }, 50);
   open();
 })();

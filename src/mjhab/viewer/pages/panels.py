@@ -46,6 +46,8 @@ HELP = """**By hand** (or a gamepad)
 | I K · J L · U O | gripper forward, left, up |
 | R F · T G · Y H | roll, pitch, yaw |
 | Space | open, close |
+| handle | the gripper follows |
+| C, held | act in place of the policy |
 | Z X · arrows | torso, head |
 """
 
@@ -59,7 +61,8 @@ class Panels:
         policies: specifications of the policies that can be chosen; empty for recorded episodes.
         others: whether other policies can be typed in, which may be files of this machine.
         on: callbacks by name: "choose" (choice), "policy" (specification), "play" (bool), "step", "speed" (factor),
-            "scrub" (index of a state), "live", "restart", "next", "expert_plan" (bool), "hand" (bool), "finish".
+            "scrub" (index of a state), "live", "restart", "next", "expert_plan" (bool), "hand" (bool), "grip",
+            "finish".
     """
 
     def __init__(
@@ -152,6 +155,12 @@ class Panels:
             self._hand.on_click(
                 lambda _: self._on["hand"](self._hand.label == "Take over")
             )
+            self._grip = self._gui.add_button(
+                "Open or close the gripper",
+                icon=viser.Icon.GRIP_HORIZONTAL,
+                visible=False,
+            )
+            self._grip.on_click(lambda _: self._on["grip"]())
             self._finish = self._gui.add_button("End and keep the episode", visible=False)
             self._finish.on_click(lambda _: self._on["finish"]())
             self._recording = self._gui.add_html("")
@@ -259,6 +268,8 @@ class Panels:
         name = "Give back" if driving else "Take over"
         if self._hand.label != name:
             self._hand.label = name
+        if self._grip.visible != driving:
+            self._grip.visible = driving
         if self._finish.visible != bool(recording):
             self._finish.visible = bool(recording)
         _fill(

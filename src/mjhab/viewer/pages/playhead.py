@@ -111,5 +111,6 @@ class Playhead:
             "next": source.next_episode,
             "expert_plan": source.show_expert_plan,
             "hand": source.set_hand,
+            "grip": source.grip,
             "finish": source.finish_episode,
         }

@@ -1,89 +1,36 @@
-"""Teleoperation: keys and gamepad sticks become actions of base, arm, gripper, torso and head."""
+"""Teleoperation: keys, gamepad sticks and a pose to go to become actions of base, arm, gripper, torso and head."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
 from mjhab.core.errors import wrong_value
-from mjhab.core.files.reading import parse_json
+from mjhab.core.rotations import (
+    mat_from_quat,
+    pose_inv,
+    pose_mul,
+    quat_from_mat,
+    rotation_vector,
+)
 from mjhab.envs.sequential import SequentialTaskEnv
 from mjhab.robots.controllers import DEFAULT_MODE, make_controller
 from mjhab.robots.registry import robot_named
 from mjhab.robots.robot import Robot
+from mjhab.viewer.sources.hand_input import MOTIONS, HandInput, read_input
 
-HUMAN = "human"
-"""Name of a teleoperating person as an actor, and of the policy whose episodes are teleoperated from their start."""
 HAND_MODE = "pd_ee_target_delta_pose"
 """Control mode of the controller that converts motion of the end effector into targets of the arm's joints."""
 SILENCE_SECONDS = 0.3
 """After this time without a message from the page [s], all keys count as released: its tab or connection is closed."""
-DEAD_ZONE = 0.12
-"""Deflection (0..1) of a gamepad stick up to which it counts as released."""
-
-KEYS: dict[str, tuple[str, float]] = {
-    "KeyW": ("forward", 1.0),
-    "KeyS": ("forward", -1.0),
-    "KeyA": ("turn", 1.0),
-    "KeyD": ("turn", -1.0),
-    "KeyI": ("x", 1.0),
-    "KeyK": ("x", -1.0),
-    "KeyJ": ("y", 1.0),
-    "KeyL": ("y", -1.0),
-    "KeyU": ("z", 1.0),
-    "KeyO": ("z", -1.0),
-    "KeyR": ("roll", 1.0),
-    "KeyF": ("roll", -1.0),
-    "KeyT": ("pitch", 1.0),
-    "KeyG": ("pitch", -1.0),
-    "KeyY": ("yaw", 1.0),
-    "KeyH": ("yaw", -1.0),
-    "KeyZ": ("torso", 1.0),
-    "KeyX": ("torso", -1.0),
-    "ArrowLeft": ("pan", 1.0),
-    "ArrowRight": ("pan", -1.0),
-    "ArrowDown": ("tilt", 1.0),
-    "ArrowUp": ("tilt", -1.0),
-}
-"""Motion and direction by key (``KeyboardEvent.code`` of browsers)."""
-GRIPPER_KEY = "Space"
-"""Key that toggles the gripper between open and closed."""
-STICKS: tuple[tuple[int, str, float], ...] = (
-    (1, "forward", -1.0),
-    (0, "turn", -1.0),
-    (3, "x", -1.0),
-    (2, "y", -1.0),
-)
-"""Axis index of the browsers' "standard" gamepad mapping, motion, direction."""
-BUTTONS: dict[int, tuple[str, float]] = {
-    6: ("z", -1.0),
-    7: ("z", 1.0),
-    4: ("yaw", 1.0),
-    5: ("yaw", -1.0),
-    12: ("pitch", -1.0),
-    13: ("pitch", 1.0),
-    14: ("roll", -1.0),
-    15: ("roll", 1.0),
-    3: ("torso", 1.0),
-    2: ("torso", -1.0),
-}
-GRIPPER_BUTTON = 0
-MOTIONS = (
-    "forward",
-    "turn",
-    "x",
-    "y",
-    "z",
-    "roll",
-    "pitch",
-    "yaw",
-    "torso",
-    "pan",
-    "tilt",
-)
+AIM_STEP_M = 0.02
+AIM_STEP_RAD = 0.07
+"""Farthest that the gripper moves and turns towards a pose in a control step: 0.4 m/s and 1.4 rad/s."""
+_TARGET = "arm_target"
+"""Key of the commanded joint positions in the state of the arm's controller."""
 _HAND_MOTIONS = ("x", "y", "z", "roll", "pitch", "yaw")
 _BODY_MOTIONS = {"head": ("pan", "tilt"), "torso": ("torso",)}
 """Motions that set the joints of a group, in the order of the group's joints."""
@@ -104,69 +51,30 @@ SHARES: dict[str, float] = {
 gripper."""
 
 
-@dataclass(frozen=True)
-class HandInput:
-    """State of keys and gamepad. motions: -1 to 1 by name of `MOTIONS`, 0 if missing. gripper: its key is down."""
-
-    motions: Mapping[str, float] = field(default_factory=dict)
-    gripper: bool = False
-
-
-def read_input(message: str) -> HandInput:
-    """Parse a message of `hand.js`; keys and buttons without a motion are ignored.
-
-    Args:
-        message: JSON object with the lists "keys" (codes), "axes" (-1..1) and "buttons" (0..1).
-
-    Raises:
-        ValueError: it is not such a message.
-    """
-    sent = parse_json(message)
-    if not isinstance(sent, dict):
-        raise ValueError(f"a message of the hand is an object, got {type(sent).__name__}")
-    keys, axes, buttons = (sent.get(name, []) for name in ("keys", "axes", "buttons"))
-    if not all(isinstance(part, list) for part in (keys, axes, buttons)):
-        raise ValueError("keys, axes and buttons of the hand are lists")
-    sums: dict[str, float] = {name: 0.0 for name in MOTIONS}
-    for key in keys:
-        if key in KEYS:
-            motion, direction = KEYS[key]
-            sums[motion] += direction
-    for axis, motion, direction in STICKS:
-        value = float(axes[axis]) if axis < len(axes) else 0.0
-        sums[motion] += direction * value * (abs(value) > DEAD_ZONE)
-    for button, (motion, direction) in BUTTONS.items():
-        sums[motion] += direction * (
-            float(buttons[button]) if button < len(buttons) else 0.0
-        )
-    pressed = len(buttons) > GRIPPER_BUTTON and float(buttons[GRIPPER_BUTTON]) > 0.5
-    if not np.isfinite(list(sums.values())).all():
-        raise ValueError("axes and buttons of the hand are finite numbers")
-    motions = {
-        name: float(np.clip(value, -1.0, 1.0)) for name, value in sums.items() if value
-    }
-    return HandInput(motions, GRIPPER_KEY in keys or pressed)
-
-
 class HandControl:
-    """Convert the state of keys and gamepad into actions of the control mode of MS-HAB.
+    """Convert a person's wishes into actions of the control mode of MS-HAB, which policies learn in.
 
-    The gripper moves along and about the axes of the torso, relative to its commanded rather than its measured pose, so
-    that it does not sag under load.
+    The gripper moves along and about the axes of the torso, or to a pose that goes along with the torso (`aim`); either
+    way from its commanded rather than its measured pose, so that it does not sag under load. Inverse kinematics makes
+    positions of the joints of it in every control step, and the action is what leads to these: what is executed and
+    recorded needs no conversion. No joint is commanded farther than an action reaches.
 
     Args:
         clock: returns monotonic time [s]; replaced in tests.
 
     Attributes:
         gripper: commanded action of the gripper, 1 open or -1 closed.
+        holds: whether the key is held that lets the person act (`hand_input.HOLD_KEY`).
     """
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self.gripper = 1.0
+        self.holds = False
         self._clock = clock
         self._input = HandInput()
         self._heard = -np.inf
         self._was_pressed = False
+        self._aim: np.ndarray | None = None
         self._take_robot(robot_named())
 
     def hear(self, message: str) -> None:
@@ -175,15 +83,51 @@ class HandControl:
             now = read_input(message)
         except (ValueError, TypeError, OverflowError):
             now = HandInput()
+        self.take(now)
+
+    def take(self, now: HandInput) -> None:
+        """Take the state of keys and gamepad, which holds for `SILENCE_SECONDS`."""
         if now.gripper and not self._was_pressed:
-            self.gripper = -self.gripper
+            self.toggle_gripper()
         self._was_pressed = now.gripper
+        self.holds = now.hold
         self._input = now
         self._heard = self._clock()
 
+    def toggle_gripper(self) -> None:
+        """Open the gripper if it is commanded to close, else close it."""
+        self.gripper = -self.gripper
+
     def let_go(self) -> None:
-        """Treat all keys as released."""
+        """Treat all keys as released, and stay where the gripper is commanded."""
         self._input = HandInput()
+        self.holds = False
+        self._aim = None
+
+    def aim(self, pose: np.ndarray) -> None:
+        """Let the gripper go to a pose until another one is told or a key moves it; poses out of reach are approached.
+
+        Args:
+            pose: (7,) of the tcp in the frame of `Robot.arm_root`: position [m], quaternion wxyz.
+
+        Raises:
+            UsageError: they are no seven finite numbers, or the quaternion is 0.
+        """
+        given = np.array(pose, float)
+        length = np.linalg.norm(given[3:])
+        if given.shape != (7,) or not np.isfinite(given).all() or length < 1e-6:
+            raise wrong_value("pose", pose, "position and quaternion (7,), finite")
+        given[3:] /= length
+        self._aim = given
+
+    @property
+    def pose(self) -> np.ndarray:
+        """Where the gripper goes or stays: pose (7,) of the tcp in the frame of `Robot.arm_root`."""
+        aim = self._aim
+        if aim is not None:
+            return aim.copy()
+        pos, rot = self._commanded()
+        return np.concatenate([pos, quat_from_mat(rot)])
 
     def begin(self, env: SequentialTaskEnv, world: int) -> None:
         """Start to control a world, with the present joint positions and gripper command as targets.
@@ -197,6 +141,7 @@ class HandControl:
         self._take_robot(env.layout.robot)
         state = _Joints(env.state.robot_q[[world]])
         self._arm.reset(np.ones(1, bool), state)
+        self._aim = None
         self.gripper = 1.0 if env.grip[world] >= 0.0 else -1.0
 
     def action(self, env: SequentialTaskEnv, world: int) -> np.ndarray:
@@ -206,7 +151,7 @@ class HandControl:
         )
         wish = {name: SHARES[name] * held.motions.get(name, 0.0) for name in MOTIONS}
         q = env.state.robot_q[[world]]
-        target = self._arm_target(wish, q)
+        target = self._arm_target(self._hand_move(wish), q)
         action = np.zeros(len(env.action_table), np.float32)
         gripper = env.controller.gripper
         for column, entry in enumerate(env.action_table):
@@ -224,14 +169,55 @@ class HandControl:
         self._arm = make_controller(HAND_MODE, 1, robot=robot)
         self._motions = _motions(robot)
 
-    def _arm_target(self, wish: Mapping[str, float], q: np.ndarray) -> np.ndarray:
-        """Target joint positions (J,) [rad or m] that move the gripper as ``wish`` says; only the arm's are used.
+    def _commanded(self) -> tuple[np.ndarray, np.ndarray]:
+        """Commanded position (3,) [m] and rotation (3, 3) of the tcp in the frame of `Robot.arm_root`."""
+        posture = self._arm.get_state(0)[_TARGET][None]
+        pos, rot = self._robot.arm_chain.tip_pose(posture)
+        return pos[0], rot[0]
 
-        ``wish``: fraction of the largest action by motion; ``q`` (1, J): measured joint positions.
+    def _hand_move(self, wish: Mapping[str, float]) -> np.ndarray:
+        """Entries (6,) of an action of `HAND_MODE` that move the gripper as keys say, or else towards `aim`."""
+        move = np.array([wish[name] for name in _HAND_MOTIONS], np.float32)
+        if move.any():
+            self._aim = None
+        aim = self._aim
+        if aim is None:
+            return move
+        pos, rot = self._commanded()
+        way = _shortened(aim[:3] - pos, AIM_STEP_M)
+        spin = mat_from_quat(aim[3:]) @ rot.T
+        turn = _shortened(rotation_vector(spin[None])[0], AIM_STEP_RAD)
+        limits = self._arm.limits
+        return np.concatenate([way / limits.ee_move, turn / limits.ee_turn])
+
+    def _arm_target(self, move: np.ndarray, q: np.ndarray) -> np.ndarray:
+        """Target joint positions (J,) [rad or m] after a move of the gripper; only the arm's are used.
+
+        ``move``: (6,), see `_hand_move`; ``q`` (1, J): measured joint positions.
         """
         given = np.zeros((1, self._arm.dim), np.float32)
-        given[0, : len(_HAND_MOTIONS)] = [wish[name] for name in _HAND_MOTIONS]
-        return self._arm.ctrl(given, _Joints(q))[0]
+        given[0, : len(move)] = move
+        target = self._arm.ctrl(given, _Joints(q))[0]
+        # What an action cannot reach in a step must not add up while the arm is blocked or slow.
+        arm = list(self._robot.arm_columns)
+        way = target[arm] - q[0, arm]
+        share = np.abs(way).max() / self._arm.limits.joint_delta
+        if share > 1.0:
+            target[arm] = q[0, arm] + way / share
+            self._arm.set_state(0, {_TARGET: target[arm]})
+        return target
+
+
+def tcp_in_arm_frame(robot: Robot, q: np.ndarray, pose: np.ndarray) -> np.ndarray:
+    """Pose (7,) of the tcp for `HandControl.aim`, from one in the world and joint positions (J,) [m, rad]."""
+    pos, rot = (each[0] for each in robot.chain.forward(q[None]).of(robot.arm_root))
+    root = np.concatenate([pos, quat_from_mat(rot)])
+    return pose_mul(pose_inv(root), pose)
+
+
+def _shortened(vector: np.ndarray, most: float) -> np.ndarray:
+    """The vector (3,), or one of length ``most`` in its direction if it is longer."""
+    return vector * min(1.0, most / max(float(np.linalg.norm(vector)), 1e-12))
 
 
 def _motions(robot: Robot) -> dict[str, str]:

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from mjhab.core.action_notes import HUMAN
 from mjhab.core.errors import MjhabError
 from mjhab.data.store.shard import ShardWriter
 from mjhab.envs.sequential import SequentialTaskEnv
@@ -25,7 +26,7 @@ from mjhab.rollout.records import EpisodeRecord
 from mjhab.rollout.sinks import Sink, StepView
 from mjhab.sim.mujoco.cpu import CpuSimulator
 from mjhab.viewer.drawn.plan_marks import PlanMarks
-from mjhab.viewer.sources.hand import HUMAN, HandControl
+from mjhab.viewer.sources.hand import HandControl
 from mjhab.viewer.sources.live_tracks import begin_tracks, extend_tracks
 from mjhab.viewer.sources.pace import RealTimeClock
 from mjhab.viewer.sources.plan_overlay import ExpertPlanOverlay
@@ -103,6 +104,8 @@ class LiveSession:
         self._asked: Wish | None = self._wish
         self._options: dict[str, Any] = {}
         self._failed = False
+        self._held = False
+        self._correcting = False
         self._plan_wanted = False
         self._plan: ExpertPlanOverlay | None = None
         self._cut_done = threading.Event()
@@ -213,12 +216,36 @@ class LiveSession:
     def hear_hand(self, message: str) -> None:
         """Take a message of `hand.js` about keys and gamepad."""
         self.hand.hear(message)
+        self._follow_hold()
+
+    @property
+    def hand_pose(self) -> np.ndarray | None:
+        """Pose (7,) that the gripper is to go to, in the frame of `Robot.arm_root`; None without teleoperation."""
+        return self.hand.pose if self.hand_drives else None
+
+    def aim_hand(self, pose: np.ndarray) -> None:
+        """Let the gripper go to a pose (7,) in the frame of `Robot.arm_root`, if the watched world is teleoperated."""
+        if self.hand_drives:
+            self.hand.aim(pose)
+
+    def grip(self) -> None:
+        """Open or close the gripper, if the watched world is teleoperated."""
+        if self.hand_drives:
+            self.hand.toggle_gripper()
 
     def hand_gone(self) -> None:
         """Release all keys after the last page was closed, and pause if the watched world is teleoperated."""
-        self.hand.let_go()
         if self.hand_drives:
             self.pace.play(False)
+        self.hand.let_go()
+        self._follow_hold()
+
+    def _follow_hold(self) -> None:
+        """Take over or give back if the key that is held for it was pressed or released."""
+        held = self.hand.holds
+        if held != self._held:
+            self._held = held
+            self.do(lambda session: session.correct(held))
 
     def finish_episode(self) -> None:
         """Truncate the watched episode at the next control step, unless it has ended."""
@@ -268,6 +295,15 @@ class LiveSession:
             self.switch.take_over(self.hand, self.watched)
         else:
             self.switch.give_back()
+
+    def correct(self, held: bool) -> None:
+        """Let the person act while the key is held, unless the person drives anyway."""
+        if held and not self.hand_drives:
+            self._correcting = True
+            self.hand_over(True)
+        elif not held and self._correcting:
+            self._correcting = False
+            self.hand_over(False)
 
     def renew_plan(self) -> None:
         """Drop the expert's plan and, if switched on, compute that of the present state of the watched world."""

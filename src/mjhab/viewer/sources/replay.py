@@ -6,6 +6,8 @@ import threading
 from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
+
 from mjhab.core.errors import MjhabError, UsageError, fault
 from mjhab.data.select.query import Filter
 from mjhab.data.store.places import shard_paths
@@ -211,6 +213,17 @@ class Replay:
         """Do nothing: recorded episodes cannot be teleoperated."""
 
     def hear_hand(self, message: str) -> None:
+        """Do nothing: recorded episodes cannot be teleoperated."""
+
+    @property
+    def hand_pose(self) -> np.ndarray | None:
+        """None: recorded episodes cannot be teleoperated."""
+        return None
+
+    def aim_hand(self, pose: np.ndarray) -> None:
+        """Do nothing: recorded episodes cannot be teleoperated."""
+
+    def grip(self) -> None:
         """Do nothing: recorded episodes cannot be teleoperated."""
 
     def hand_gone(self) -> None:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Protocol
 
+import numpy as np
+
 from mjhab.sim.mujoco.cpu import CpuSimulator
 from mjhab.viewer.drawn.plan_marks import PlanMarks
 from mjhab.viewer.sources.pace import RealTimeClock
@@ -105,6 +107,19 @@ class ViewSource(Protocol):
 
     def hear_hand(self, message: str) -> None:
         """Take a message of `hand.js` about keys and gamepad."""
+        ...
+
+    @property
+    def hand_pose(self) -> np.ndarray | None:
+        """Pose (7,) that the gripper is to go to, in the frame of `Robot.arm_root`; None without teleoperation."""
+        ...
+
+    def aim_hand(self, pose: np.ndarray) -> None:
+        """Let the gripper go to a pose (7,) in the frame of `Robot.arm_root`."""
+        ...
+
+    def grip(self) -> None:
+        """Open or close the gripper that is teleoperated."""
         ...
 
     def hand_gone(self) -> None:

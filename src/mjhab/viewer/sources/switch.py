@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from mjhab.core.action_notes import ActionNotes
+from mjhab.core.action_notes import HUMAN, ActionNotes
 from mjhab.envs.sequential import SequentialTaskEnv
 from mjhab.evaluation.resolve import PolicyOptions, resolve_policy
 from mjhab.rollout.policy import Annotated, Fallible, Policy
-from mjhab.viewer.sources.hand import HUMAN, HandControl
+from mjhab.viewer.sources.hand import HandControl
 
 
 class PolicySwitch:

@@ -9,6 +9,7 @@ from typing import Any, cast
 
 import numpy as np
 
+from mjhab.core.action_notes import HUMAN
 from mjhab.data.record.provenance import describe_run
 from mjhab.data.record.recorder import Appends, Recorder
 from mjhab.data.record.worlds import RecordedEnv
@@ -16,7 +17,6 @@ from mjhab.data.store.episode_data import RunInfo
 from mjhab.envs.sequential import SequentialTaskEnv
 from mjhab.rollout.records import EpisodeRecord
 from mjhab.rollout.sinks import StepView
-from mjhab.viewer.sources.hand import HUMAN
 
 Known = Callable[[RunInfo, int, int], bool]
 """Tells whether the episode of a run with a seed and an index is in a shard."""
@@ -54,7 +54,8 @@ class TakeRecorder(Recorder):
 
     An episode in which a person acted is recorded as one of the policy "human", with a unique take id, so that the same
     episode can be recorded several times; so has one that did not reach its end. Another episode that is in the shard
-    already is left out, because it would be identical. The dataset ``actor`` of an episode has the actor of every step.
+    already is left out, because it would be identical. The dataset ``actor`` of an episode has the actor of every step;
+    "corrected" of the run's policy is the policy that the person corrected.
 
     Args:
         writer: the shard.
@@ -99,7 +100,9 @@ class TakeRecorder(Recorder):
             return self._alone
         name = HUMAN if HUMAN in acted else "+".join(sorted(acted))
         take = f"{time.strftime('%Y%m%dT%H%M%S')}-{secrets.token_hex(3)}"
-        about = {"name": name, "actors": sorted(acted), "take": take}
+        about: dict[str, Any] = {"name": name, "actors": sorted(acted), "take": take}
+        if name == HUMAN and self._policy["name"] in acted:
+            about["corrected"] = self._policy
         return describe_run(self._env, about, self.run.licence)
 
     def _is_known(self, record: EpisodeRecord) -> bool:

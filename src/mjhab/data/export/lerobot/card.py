@@ -14,6 +14,7 @@ from mjhab.data.export.lerobot.features import (
     ENVIRONMENT_STATE,
     FPS,
     IMAGES,
+    INTERVENTION,
     LANGUAGE,
     POINTS,
     STATE,
@@ -176,6 +177,13 @@ def _remarks(told: CardFacts, made: Sequence[ExportedEpisode]) -> list[str]:
         about.append(
             f"In {teleported} of {len(made)} episodes the environment teleported the robot to every goal. "
             f"The frames are marked by `{TELEPORTED}`."
+        )
+    if corrections := sum(each.interventions for each in made):
+        corrected = len([each for each in made if each.interventions])
+        about.append(
+            f"`{INTERVENTION}` marks the {corrections} frames of {corrected} episodes in which somebody corrected the "
+            "policy that acted (HG-DAgger); `actor_index` tells who. Learn from these frames of such episodes, not "
+            "from those of the policy."
         )
     if not until.is_whole:
         about.append(

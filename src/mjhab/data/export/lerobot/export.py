@@ -22,6 +22,7 @@ from mjhab.data.export.lerobot.card import CardFacts, card, image_notes
 from mjhab.data.export.lerobot.features import (
     FPS,
     IMAGES,
+    INTERVENTION,
     LANGUAGE,
     Choice,
     Features,
@@ -274,7 +275,8 @@ class _Export:
             if number == 0:
                 wanted = [episode.frame(camera, "rgb", t) for t in range(length)]
                 made.psnr.update({key: psnr(wanted, self._parts.shown(number, key))})
-        made = replace(made, size=table.nbytes)
+        corrections = int(columns[INTERVENTION].sum())
+        made = replace(made, size=table.nbytes, interventions=corrections)
         self._parts.finish(number, made)
         return made
 

@@ -22,6 +22,8 @@ STATE = "observation.state"
 ENVIRONMENT_STATE = "observation.environment_state"
 """Privileged state: object, goal, grasp. A policy for a real robot must not use it."""
 TELEPORTED = "is_teleported"
+INTERVENTION = "intervention"
+"""Whether a policy was corrected, with the name that LeRobot's own collection of corrections gives it."""
 IMAGES = {
     "rgb": "observation.images",
     "depth": "observation.depth",
@@ -106,6 +108,7 @@ def describe(
         "next.success": _feature("bool"),
         "next.done": _feature("bool"),
         TELEPORTED: _feature("bool"),
+        INTERVENTION: _feature("bool"),
         "subtask_index": _feature("int64"),
         "actor_index": _feature("int64"),
         SKILL: _feature("int64"),

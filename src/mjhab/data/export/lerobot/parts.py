@@ -50,7 +50,7 @@ class ExportedEpisode:
     row: of the table of episodes. stats: statistics per feature. size: of its rows in memory [bytes].
     films: size of each video [bytes]. subtasks: instructions of its plan's subtasks. actors: names of its actors.
     licence: of the assets. skills: names of what they did. psnr: how well videos show the images [dB], of the episode
-    for which that is measured.
+    for which that is measured. interventions: number of its rows that are corrections.
     """
 
     row: dict[str, Any]
@@ -62,6 +62,7 @@ class ExportedEpisode:
     licence: str
     skills: list[str] = field(default_factory=list)
     psnr: dict[str, float] = field(default_factory=dict)
+    interventions: int = 0
 
     @property
     def steps(self) -> int:

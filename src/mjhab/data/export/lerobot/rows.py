@@ -18,6 +18,7 @@ from mjhab.data.export.lerobot.features import (
     FPS,
     IMAGES,
     INTENDED,
+    INTERVENTION,
     LANGUAGE,
     MAPS,
     POINTS,
@@ -31,6 +32,7 @@ from mjhab.data.export.lerobot.features import (
 from mjhab.data.export.outside import Outside
 from mjhab.data.select.clouds import Clouds
 from mjhab.data.select.describing import teleported_steps
+from mjhab.data.select.interventions import intervention_steps
 from mjhab.data.store.annotations import Annotations
 from mjhab.data.store.reading import RecordedEpisode
 
@@ -80,6 +82,7 @@ def rows_of(
         "next.success": episode.array("reward/success")[:count].astype(bool),
         "next.done": done,
         TELEPORTED: teleported_steps(episode)[:count],
+        INTERVENTION: intervention_steps(episode)[:count],
         "subtask_index": np.array(numbers.subtasks, np.int64)[active],
         "actor_index": np.array(numbers.actors, np.int64)[episode.array("actor")[:count]],
         SKILL: _skill_column(episode.annotations, count, numbers.skills),

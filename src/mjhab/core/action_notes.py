@@ -11,7 +11,8 @@ import numpy as np
 HUMAN = "human"
 """Name of a person as an actor, and of the policy of episodes in which a person acted."""
 EXPERT = "expert"
-STUDENT = "student"
+NOVICE = "student"
+"""Name of a learned policy as an actor whose steps an expert, or a person, corrects."""
 TAKE_OVER = "take_over"
 """Name of the policy of episodes that a student begins and the expert finishes."""
 

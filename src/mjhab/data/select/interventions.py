@@ -6,7 +6,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from mjhab.core.action_notes import EXPERT, HUMAN, STUDENT, TAKE_OVER
+from mjhab.core.action_notes import EXPERT, HUMAN, NOVICE, TAKE_OVER
 from mjhab.data.store.episode_data import RunInfo
 from mjhab.data.store.reading import RecordedEpisode
 from mjhab.rollout.policy import ZeroPolicy
@@ -47,6 +47,6 @@ def taught_steps(episode: RecordedEpisode) -> np.ndarray:
     steps = intervention_steps(episode)
     if steps.any():
         return steps | (np.array(episode.actors)[actor] == EXPERT)
-    if STUDENT not in episode.actors or len(episode.actors) == 1:
+    if NOVICE not in episode.actors or len(episode.actors) == 1:
         return np.ones(episode.steps, bool)
-    return actor != episode.actors.index(STUDENT)
+    return actor != episode.actors.index(NOVICE)

@@ -11,16 +11,16 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from mjhab.core.action_notes import EXPERT, STUDENT, TAKE_OVER, ActionNotes
+from mjhab.core.action_notes import EXPERT, NOVICE, TAKE_OVER, ActionNotes
 from mjhab.core.seeding import stream
 from mjhab.rollout.policy import ACTION_SIZE, Correctable, Policy
 
-ACTORS = (STUDENT, EXPERT)
+ACTORS = (NOVICE, EXPERT)
 """Names of the possible actors; every recorded control step has the index of its actor."""
 RELABELLED = "relabelled"
 TEACHER = "teacher"
 OF_DISTILLATION = (RELABELLED, TEACHER)
-"""The same where a teacher labels: its student's steps are learned from, unlike those of `STUDENT`."""
+"""The same where a teacher labels: its student's steps are learned from, unlike those of `NOVICE`."""
 
 
 class Replanning(Protocol):

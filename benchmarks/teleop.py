@@ -107,7 +107,6 @@ class ScriptedHuman(HandControl):
         self._way = way
         self._at = 0
         self._waited = 0
-        self._offset = np.zeros(3)
         self._presses = False
 
     def begin(self, env: SequentialTaskEnv, world: int) -> None:
@@ -122,19 +121,8 @@ class ScriptedHuman(HandControl):
         goal = self._next(view)
         self._presses = not self._presses and goal.opens != (self.gripper > 0.0)
         self.take(HandInput(self._keys(view, goal.q), self._presses))
-        self.aim(self._aim_of(view, goal))
+        self.aim(tcp_in_arm_frame(view.robot, view.q, goal.tcp))
         return super().action(env, world)
-
-    def _aim_of(self, view: WorldView, goal: Waypoint) -> np.ndarray:
-        """Pose (7,) in the frame of the arm. What is held goes along with the base; else the place in the world counts,
-        wherever the base is."""
-        there = tcp_in_arm_frame(view.robot, view.q, goal.tcp)
-        shown = tcp_in_arm_frame(view.robot, goal.q, goal.tcp)
-        if goal.opens:
-            self._offset = there[:3] - shown[:3]
-            return there
-        shown[:3] += self._offset
-        return shown
 
     def _next(self, view: WorldView) -> Waypoint:
         goal = self._way[self._at]

@@ -92,7 +92,7 @@ def _as_deltas(
     begins = True
     for t, now in enumerate(q[:, None]):
         if begins:
-            source.reset(np.ones(1, bool), _Joints(now))
+            source.reset(np.ones(1, bool), _RecordedJoints(now))
         state = source.get_state(0)
         for each, aim in zip(reversed(given), reversed(aims), strict=True):
             source.set_state(0, state)
@@ -115,7 +115,7 @@ def _as_deltas(
 
 
 @dataclass(frozen=True)
-class _Joints:
+class _RecordedJoints:
     """The part of a state that a controller reads: joint positions (1, J)."""
 
     robot_q: np.ndarray

@@ -324,7 +324,7 @@ def test_corrections_are_found_filtered_and_exported(
     assert (said in (out / "README.md").read_text()) == corrected
     files = to_maniskill([path], tmp_path / "maniskill").files
     with h5py.File(files[0]) as file:
-        told = [file[f"traj_{k}/intervention"][:] for k in range(2)]  # type: ignore[index]
+        told: list[Any] = [file[f"traj_{k}/intervention"][:] for k in range(2)]  # type: ignore[index]
     assert np.concatenate(told).tolist() == marks
 
 

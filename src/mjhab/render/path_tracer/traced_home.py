@@ -29,9 +29,9 @@ ROULETTE_FROM = 1
 is no change of the light: 0.24 instead of 0.34 s of a core for 128 x 128 pixels of 4 paths."""
 SUNBEAMS = {"type": "direct", "emitter_samples": 1, "bsdf_samples": 0}
 """What sees the sun: no reflections, since `Daylight.exposure` makes up for them, and no noise."""
-FEW_FACES = 600
+FEW_FACES = 250
 """Most faces of a mesh in pictures of few paths per pixel. Mitsuba builds its trees of all faces anew when a body
-moves: 22 instead of 44 ms of a core for the two scenes of a home."""
+moves: 14 instead of 44 ms of a core for the two scenes of a home."""
 CEILING = (0.88, 0.88, 0.86)
 Groups = list[tuple[tuple[int, ...], Any]]
 """Shape groups of Mitsuba, each with the bodies that look like it."""

@@ -72,6 +72,7 @@ INTEGER_SUMS = {
     "cli/bench/experts.py": {"done.values()"},
     "cli/datasets/data.py": {"count"},
     "cli/output.py": {"widths"},
+    "data/export/lerobot/card.py": {"each.interventions"},
     "data/export/lerobot/features.py": {"widths.values()"},
     "data/record/quotas.py": {"n"},
     "data/record/recorder.py": {"parts.values()"},

@@ -24,6 +24,7 @@ EXTRAS = {
     "photo": ("mitsuba", "mitsuba_oidn"),
     "serve": ("msgpack", "websockets"),
     "scale": ("ray",),
+    "vision": ("onnxruntime",),
 }
 """Modules that each extra of the package installs, as in pyproject.toml (without "all" and "dev")."""
 

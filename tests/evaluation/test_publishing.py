@@ -91,7 +91,7 @@ def test_mishaps_on_purpose_are_no_demonstrations(tmp_path: Path) -> None:
         assert asked.style == ("mishap=0.25",) and asked.preset is None
         assert asked.keep == f"({KEEP}) and style.mishap == 0"
     paper = spec_of(tmp_path, policy="expert", recoveries=0.25, keep=None)
-    keeps = [paper.generation(row).keep for row in paper.chosen().values()]
+    keeps = [str(paper.generation(row).keep) for row in paper.chosen().values()]
     assert "straightforward_success" in keeps[0] and "closed_success" in keeps[1]
     assert all(keep.endswith("and style.mishap == 0") for keep in keeps)
     with refused("--recoveries", 0.25, advice="It keeps demonstrations alone."):

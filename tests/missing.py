@@ -9,9 +9,14 @@ from typing import NoReturn
 import pytest
 
 
+def in_ci() -> bool:
+    """Whether nothing may go untested in silence."""
+    return os.environ.get("CI", "").lower() == "true"
+
+
 def missing(why: str, whole_module: bool = False) -> NoReturn:
     """Skip a test, or all of a module that is being imported, and say why; in CI nothing may go untested in silence."""
-    if os.environ.get("CI", "").lower() == "true":
+    if in_ci():
         pytest.fail(why)
     pytest.skip(why, allow_module_level=whole_module)
 
@@ -20,3 +25,9 @@ def need_warp() -> None:
     """Called at the top of a module whose tests run on Warp; it is in the extras ``gpu`` and ``dev``."""
     if importlib.util.find_spec("mujoco_warp") is None:
         missing("mujoco_warp is absent: pip install 'mjhab[gpu]'", whole_module=True)
+
+
+def need_onnxruntime() -> None:
+    """Called at the top of a module whose tests run a frozen network; it is in the extras ``vision`` and ``dev``."""
+    if importlib.util.find_spec("onnxruntime") is None:
+        missing("onnxruntime is absent: pip install 'mjhab[vision]'", whole_module=True)

@@ -19,10 +19,11 @@ from mjhab.learning.observation.spec import described
 from mjhab.learning.publishing import gather
 from mjhab.learning.students.heads import make_student
 from tests.learning.small import INPUTS, config, demonstrations, layout
+from tests.missing import need_onnxruntime
 from tests.onnx_file import FEATURES, IMAGENET, SIDE, WEIGHT, tiny_backbone
 from tests.refusals import refused
 
-pytest.importorskip("onnxruntime", reason="make setup installs it")
+need_onnxruntime()
 
 
 def images(number: int, side: int = SIDE) -> np.ndarray:

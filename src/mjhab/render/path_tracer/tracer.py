@@ -20,8 +20,6 @@ from mjhab.scenes.shapes.colors import srgb_to_linear
 
 HOMES_KEPT = 8
 """Number of homes whose scenes are kept."""
-SENSORS_KEPT = 64
-"""Number of sensors that are kept: of every size of picture and field of view, which perturbations draw."""
 GUIDES = ("rgb", "depth")
 """Pictures of the rasterizer that the denoiser is shown: textures and edges without noise. Samples of the surfaces by
 Mitsuba take 10 us each, as much as two paths of light."""
@@ -54,7 +52,6 @@ class PathTracer:
         self._mi: Any = mitsuba(shading.variant)
         self._light = TIMES[shading.light]
         self._homes: OrderedDict[int, TracedHome] = OrderedDict()
-        self._sensors: dict[tuple[int, int, float, bool], tuple[Any, Any]] = {}
         self._distance = self._mi.load_dict({"type": "aov", "aovs": "depth:depth"})
 
     @property
@@ -154,24 +151,9 @@ class PathTracer:
         mat: np.ndarray,
         centred: bool,
     ) -> Any:
-        """A sensor of Mitsuba that is made once and moved: on a GPU, programs would be compiled for every other one."""
         place = self._mi.ScalarTransform4f().look_at(
             eye.tolist(), (eye - mat[:, 2]).tolist(), mat[:, 1].tolist()
         )
-        kind = (cameras.width, cameras.height, fovy, centred)
-        if kind not in self._sensors:
-            if len(self._sensors) == SENSORS_KEPT:
-                self._sensors.clear()
-            made = self._made_sensor(cameras, fovy, centred)
-            place_of = self._mi.traverse(made)
-            place_of.keep(["to_world"])
-            self._sensors[kind] = (made, place_of)
-        sensor, place_of = self._sensors[kind]
-        place_of["to_world"] = self._mi.Transform4f(place)
-        place_of.update()
-        return sensor
-
-    def _made_sensor(self, cameras: Cameras, fovy: float, centred: bool) -> Any:
         sampler = {"type": "independent"}
         if centred:
             sampler = {"type": "stratified", "jitter": False, "sample_count": 1}
@@ -181,6 +163,7 @@ class PathTracer:
                 "fov": float(np.degrees(fovy)),
                 "fov_axis": "y",
                 "near_clip": NEAR,
+                "to_world": place,
                 "sampler": sampler,
                 "film": {
                     "type": "hdrfilm",

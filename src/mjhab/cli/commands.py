@@ -149,6 +149,12 @@ COMMANDS: tuple[Command, ...] = (
         "evaluation.publishing.spec:PullSpec",
     ),
     Command(
+        "policy join",
+        "join trained policies to one that reads the sentence",
+        "policies.join:run_join",
+        "learning.assigned.spec:PolicyJoinSpec",
+    ),
+    Command(
         "train bc",
         "behaviour cloning",
         "policies.train:run_train",

@@ -32,6 +32,8 @@ DEPTH = "depth"
 RGBD = "rgbd"
 IMAGE_CONTENTS = {DEPTH: (DEPTH,), RGB: (RGB,), RGBD: (DEPTH, RGB)}
 """What images of a student can show."""
+VIEWS = {"whole": (True, False), "target": (False, True), "both": (True, True)}
+"""Values of `InputConfig.whole_views` and ``target_views``, by what they are called together."""
 HEADS = (BC, FLOW, ACT, DIFFUSION, GAUSSIAN, GAUSSIAN_ACTIONS)
 """Algorithms that map an observation to a chunk of actions."""
 
@@ -131,10 +133,23 @@ class NetworkConfig:
     norm: bool = True
     unet: tuple[int, ...] = (64, 128, 256)
     log_std: Annotated[tuple[float, float], Bound(-math.inf)] = (-5.0, 1.0)
+    experts: Annotated[tuple[str, ...], Bound(empty=True)] = ()
+    """Of a student that `mjhab policy join` made of several: which views each of them sees, one of VIEWS."""
+    routes: Annotated[tuple[FromZero, ...], Bound(empty=True)] = ()
+    """Of such a student: the number of the one that acts, for each request that it knows."""
 
     def __post_init__(self) -> None:
         if len(self.log_std) != 2 or not self.log_std[0] < self.log_std[1]:
             raise wrong_value("network.log_std", self.log_std, "two rising numbers")
+        for views in self.experts:
+            if views not in VIEWS:
+                raise unknown_name("network.experts", views, VIEWS)
+        if set(self.routes) != set(range(len(self.experts))):
+            raise wrong_value(
+                "network.routes",
+                self.routes,
+                f"numbers from 0 to below {len(self.experts)} (network.experts), each at least once",
+            )
 
 
 @dataclass(frozen=True)
@@ -447,6 +462,7 @@ SIZES = {
     "layers": 64,
     "state_features": 16_384,
     "unet": 8192,
+    "routes": 15,
     "chunk": 1000,
     "sampling_steps": 1000,
 }

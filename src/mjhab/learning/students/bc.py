@@ -8,6 +8,7 @@ from torch import Tensor, nn
 from mjhab.learning.configs import StudentConfig
 from mjhab.learning.networks import Encoder, Normalizer, Trunk, mlp
 from mjhab.learning.observation.spec import ObservationSpec
+from mjhab.learning.students.routed import RoutedTrunk
 from mjhab.learning.students.student import Batch, Student
 
 PAPER_HIDDEN = (2048, 1024, 512)
@@ -47,8 +48,7 @@ class BehaviourCloning(Student):
 
     def __init__(self, config: StudentConfig, layout: ObservationSpec) -> None:
         super().__init__(config, layout)
-        build = PaperTrunk if config.network.encoder == "paper" else Trunk
-        self.trunk = build(config, layout)
+        self.trunk = _trunk_of(config)(config, layout)
         self.head = nn.Linear(self.trunk.width, config.chunk * len(layout.actions))
 
     @property
@@ -73,3 +73,11 @@ class BehaviourCloning(Student):
 
     def chunk(self, vector: Tensor, images: Tensor, noise: Tensor) -> Tensor:
         return self.chunk_of(self.trunk(vector, images))
+
+
+def _trunk_of(
+    config: StudentConfig,
+) -> type[Trunk] | type[PaperTrunk] | type[RoutedTrunk]:
+    if config.network.routes:
+        return RoutedTrunk
+    return PaperTrunk if config.network.encoder == "paper" else Trunk

@@ -1,0 +1,207 @@
+"""Students that were trained apart, joined to one that reads the sentence."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from mjhab.core.errors import UsageError
+from mjhab.learning.assigned.join import Route, join, joined
+from mjhab.learning.assigned.spec import PolicyJoinSpec
+from mjhab.learning.checkpoint import load_student, save_student
+from mjhab.learning.configs import ACT, InputConfig, NetworkConfig
+from mjhab.learning.observation.sentences import encode_sentence
+from mjhab.learning.observation.spec import ObservationSpec, observation_spec_of
+from mjhab.learning.runs.specs import Scene
+from mjhab.learning.students.bc import BehaviourCloning
+from mjhab.learning.students.heads import make_student
+from mjhab.learning.students.routed import RoutedTrunk, fit_gate
+from mjhab.learning.students.student import Student
+from tests.learning.small import SIZE, condition_of, config, layout
+
+WORLDS = 16
+SAID = (
+    ("pick up the bowl", "take the bowl"),
+    ("open the drawer",),
+    ("close the drawer",),
+)
+WHOLE = InputConfig(cameras=("fetch_head",), image_size=SIZE, base_velocity=True)
+WIDE = NetworkConfig(channels=(4, 8), image_features=8, hidden=64, layers=2)
+"""Of matrices that are worth to be stored as 16-bit numbers."""
+FOVEAL = dataclasses.replace(WHOLE, whole_views=False, target_views=True)
+
+
+def _member(seed: int, inputs: InputConfig) -> BehaviourCloning:
+    """A student with random weights and normalizers."""
+    made = make_student(config(inputs=inputs), layout(inputs), seed)
+    assert isinstance(made, BehaviourCloning)
+    random = torch.Generator().manual_seed(seed)
+    for normalizer in (made.action_normalizer, made.normalizer):
+        few = len(normalizer.mean)
+        if normalizer is made.normalizer:
+            few = made.layout.measured_width
+        normalizer.mean[:few] = torch.randn(few, generator=random)
+        normalizer.scale[:few] = 0.5 + torch.rand(few, generator=random)
+    return made.eval().requires_grad_(False)
+
+
+def _routes() -> list[Route]:
+    drawer, bowl = "kitchen_counter/drawer3", "024_bowl"
+    asked = (("pick", bowl, 0), ("open", drawer, 1), ("close", drawer, 1))
+    return [
+        Route(Scene(subtask=subtask, target=target), target, member, said)
+        for (subtask, target, member), said in zip(asked, SAID, strict=True)
+    ]
+
+
+def _fitted(student: BehaviourCloning) -> RoutedTrunk:
+    trunk = student.trunk
+    assert isinstance(trunk, RoutedTrunk)
+    weights, bias = fit_gate(SAID, encode_sentence, 0)
+    trunk.gate.weight.data.copy_(weights)
+    trunk.gate.bias.data.copy_(bias)
+    return trunk
+
+
+def _acts(student: Student, vector: np.ndarray, images: np.ndarray) -> np.ndarray:
+    shape = (len(vector), 0, student.config.chunk, len(student.layout.actions))
+    return student.act(vector.astype(np.float32), images, np.zeros(shape, np.float32))
+
+
+def test_the_joined_student_does_on_each_route_what_its_member_does() -> None:
+    members = [_member(1, FOVEAL), _member(2, WHOLE)]
+    one = joined(members, _routes())
+    _fitted(one)
+    random = np.random.default_rng(0)
+    seen = {
+        key: random.integers(0, 256, (WORLDS, SIZE, SIZE), np.uint8)
+        for key in one.layout.image_keys
+    }
+    assert len(seen) == 2
+    measured = random.normal(size=(WORLDS, members[0].layout.measured_width))
+    for route in _routes():
+        member = members[route.member]
+        code = condition_of(member.layout, route.scene.subtask, route.target)
+        told = np.hstack([measured, np.tile(code, (WORLDS, 1))])
+        images = np.stack([seen[key] for key in member.layout.image_keys], 1)
+        wanted = _acts(member, told, images)[:, : one.config.chunk]
+        for sentence in route.sentences:
+            said = np.tile(encode_sentence(sentence), (WORLDS, 1))
+            every = np.stack([seen[key] for key in one.layout.image_keys], 1)
+            done = _acts(one, np.hstack([measured, said]), every)
+            assert np.abs(done - wanted).max() < 1e-5
+
+
+def test_what_one_world_is_asked_changes_no_bit_of_what_another_does() -> None:
+    one = joined([_member(1, WHOLE), _member(2, WHOLE)], _routes())
+    _fitted(one)
+    random = np.random.default_rng(0)
+    images = random.integers(0, 256, (WORLDS, 1, SIZE, SIZE), np.uint8)
+    measured = random.normal(size=(WORLDS, one.layout.measured_width))
+    alike = np.tile(encode_sentence(SAID[1][0]), (WORLDS, 1))
+    mixed = alike.copy()
+    mixed[1::2] = encode_sentence(SAID[0][0])
+    first = _acts(one, np.hstack([measured, alike]), images)
+    second = _acts(one, np.hstack([measured, mixed]), images)
+    assert np.array_equal(first[::2], second[::2])
+    assert not np.allclose(first[1::2], second[1::2])
+
+
+def test_a_gate_understands_sentences_with_new_words() -> None:
+    trunk = _fitted(joined([_member(1, WHOLE), _member(2, WHOLE)], _routes()))
+    for number, told in enumerate(
+        (
+            "would you kindly take that bowl",
+            "please open my drawer",
+            "now close it, the drawer",
+        )
+    ):
+        vector = torch.tensor(encode_sentence(told))[None]
+        assert int(trunk.route(vector)) == number
+
+
+def _saved(folder: Path, name: str, student: Student, **scene: str) -> Path:
+    path = folder / f"{name}.safetensors"
+    told = Scene(home="builtin_m1_02", **scene).record()
+    save_student(path, student, {"scene": told, "trained": True})
+    return path
+
+
+@pytest.fixture(scope="module")
+def real(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two students with random weights for a real environment, and the file that names them."""
+    from mjhab.envs import make
+
+    folder = tmp_path_factory.mktemp("join")
+    inputs = InputConfig(cameras=(), image_size=0, previous_action=False)
+    drawer = "kitchen_counter/drawer3"
+    named = {"task": "set_table", "home": "builtin_m1_02", "target": drawer}
+    env = make(**named, subtask="open", obs_mode="state", num_envs=1, threads=1)
+    seen = observation_spec_of(env, inputs, (drawer,))
+    env.close()
+    rows = []
+    for seed, subtask in enumerate(("open", "close")):
+        student = make_student(config(inputs=inputs, network=WIDE), seen, seed)
+        path = _saved(folder, subtask, student, subtask=subtask, target=drawer)
+        rows.append({"subtask": subtask, "target": drawer, "checkpoint": path.name})
+    file = folder / "policies.json"
+    file.write_text(json.dumps({"policies": rows}))
+    return file
+
+
+def test_join_reads_the_sentences_of_real_episodes(real: Path, tmp_path: Path) -> None:
+    done = join(PolicyJoinSpec(real, tmp_path / "one.safetensors", episodes=8))
+    assert done.members == 2
+    assert done.unread == ()
+    assert all(count >= 2 for count in done.requests.values())
+    one = load_student(done.file)
+    assert one.layout.inputs.sentence
+    assert not one.layout.inputs.condition
+    again = join(PolicyJoinSpec(real, tmp_path / "again.safetensors", episodes=8))
+    assert again.file.read_bytes() == done.file.read_bytes()
+    full = join(
+        PolicyJoinSpec(real, tmp_path / "full.safetensors", episodes=8, full=True)
+    )
+    assert full.bytes > 1.3 * done.bytes
+
+
+def test_members_that_do_not_fit_are_refused(real: Path, tmp_path: Path) -> None:
+    def refused(**changes: str) -> str:
+        rows = json.loads(real.read_text())["policies"]
+        for row in rows:
+            row["checkpoint"] = str(real.parent / row["checkpoint"])
+        rows[1] |= changes
+        file = tmp_path / "policies.json"
+        file.write_text(json.dumps({"policies": rows}))
+        with pytest.raises(UsageError) as error:
+            join(PolicyJoinSpec(file, tmp_path / "one.safetensors", episodes=8))
+        assert not (tmp_path / "one.safetensors").exists()
+        return str(error.value)
+
+    assert "was not trained for pick" in refused(subtask="pick")
+    assert "no checkpoint" in refused(checkpoint="expert")
+    seen = load_student(real.parent / "open.safetensors").layout
+    wide = config(inputs=seen.inputs, network=WIDE, execute=1)
+    other = _saved(tmp_path, "wide", make_student(wide, seen), subtask="close")
+    assert "another number of executed actions" in refused(checkpoint=str(other))
+    chunks = make_student(config(ACT, seen.inputs), seen)
+    other = _saved(tmp_path, "act", chunks, subtask="close")
+    assert "a student of act" in refused(checkpoint=str(other))
+    told = dataclasses.replace(seen.inputs, condition=False, sentence=True)
+    reads: ObservationSpec = dataclasses.replace(seen, inputs=told)
+    other = _saved(
+        tmp_path, "told", make_student(config(inputs=told), reads), subtask="close"
+    )
+    assert "inputs.condition=true" in refused(checkpoint=str(other))
+
+
+def test_a_routed_network_is_not_trained_from_nothing() -> None:
+    inputs = dataclasses.replace(WHOLE, condition=True)
+    network = dataclasses.replace(config().network, experts=("whole",), routes=(0,))
+    with pytest.raises(UsageError, match="sentence"):
+        make_student(config(inputs=inputs, network=network), layout(inputs))

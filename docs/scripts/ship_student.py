@@ -2,7 +2,8 @@
 
 FILE is student.safetensors of a run, ROW what it was trained for: TASK/SUBTASK or TASK/SUBTASK/TARGET. The weights are
 stored in about half of their size, in a file named after the row. A student for several rows is stored as all_rows;
-src/mjhab/learning/shipped/index.json names the rows that it acts for, alone or together with another.
+src/mjhab/learning/shipped/index.json names the rows that it acts for, alone or together with another. With --name it
+is stored under a name of its own, for ``--policy learned:NAME``.
 """
 
 from __future__ import annotations
@@ -18,15 +19,20 @@ from mjhab.learning.shipped_kind import FOLDER, file_name
 ALL_ROWS = "all_rows"
 
 
-def ship(source: Path, rows: Sequence[str]) -> None:
+def ship(source: Path, rows: Sequence[str], name: str = "") -> None:
     """Write the file of a student for the given rows."""
     scenes = []
     for row in rows:
         task, subtask, *target = row.split("/", 2)
         scenes.append({"task": task, "subtask": subtask, "target": "".join(target)})
-    name = file_name(**scenes[0]) if len(scenes) == 1 else ALL_ROWS
-    about = load_checkpoint(source).about
-    told = [{**about["scene"], **scene} for scene in scenes]
+    name = name or (file_name(**scenes[0]) if len(scenes) == 1 else ALL_ROWS)
+    about = {**load_checkpoint(source).about}
+    # Where files lay on the machine of the training is nobody's business.
+    about.pop("members", None)
+    pack = about["scene"]["assets"]
+    if isinstance(pack, dict):
+        pack = {**pack, "place": Path(pack["place"]).name}
+    told = [{**about["scene"], "assets": pack, **scene} for scene in scenes]
     place = FOLDER / f"{name}{CHECKPOINT_SUFFIX}"
     save_compact(source, place, {**about, "scene": told[0], "also": told[1:]})
     place.chmod(0o644)
@@ -39,5 +45,6 @@ if __name__ == "__main__":
     )
     parser.add_argument("source", type=Path, metavar="CHECKPOINT.safetensors")
     parser.add_argument("rows", nargs="+", metavar="TASK/SUBTASK[/TARGET]")
+    parser.add_argument("--name", default="", help="name of its own")
     options = parser.parse_args()
-    ship(options.source, options.rows)
+    ship(options.source, options.rows, options.name)

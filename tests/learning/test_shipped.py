@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from pathlib import Path
 from types import SimpleNamespace
@@ -18,10 +19,10 @@ from mjhab.learning.checkpoint import load_checkpoint, load_student, save_studen
 from mjhab.learning.policy import StudentEnsemble
 from mjhab.learning.policy_kind import members
 from mjhab.learning.students.heads import make_student
-from tests.learning.small import config, fake_env, layout
+from tests.learning.small import INPUTS, config, fake_env, layout
 from tests.refusals import refused
 
-LARGEST_BYTES = 5_000_000
+LARGEST_BYTES = 10_000_000
 CLOSE: dict[str, Any] = {
     "task": "set_table",
     "subtask": "close",
@@ -176,9 +177,24 @@ def test_what_is_shipped_is_small_acts_and_says_where_it_learned() -> None:
             about = load_checkpoint(path).about
             scene = about["scene"]
             learned = trained_for(path, about)
-            assert name in [shipped_kind.file_name(**vars(one)) for one in learned]
+            rows = [shipped_kind.file_name(**vars(one)) for one in learned]
+            # One with a name of its own knows by the sentence what is to be done.
+            assert name in rows or student.layout.inputs.sentence
             assert (scene["profile"], student.layout.profile) == ("ms_hab", "ms_hab")
-            assert scene["assets"] == "builtin"
+            pack = scene["assets"]
+            assert "/" not in (pack if isinstance(pack, str) else pack["place"])
+
+
+@pytest.mark.usefixtures("shelf")
+def test_one_that_reads_the_sentence_has_a_name_of_its_own(shelf: Path) -> None:
+    inputs = dataclasses.replace(INPUTS, sentence=True, condition=False)
+    told = layout(inputs)
+    save_student(shelf / "one.safetensors", make_student(config(inputs=inputs), told), {})
+    spec = EvalSpec.of("learned:one", **CLOSE)
+    assert isinstance(spec.policy, str)
+    facts = describe_policy(spec.policy)
+    assert (facts.name, facts.reads_instruction) == ("learned:one", True)
+    assert resolve_policy(spec.policy, fake_env(1, told)).name == "student"
 
 
 def test_the_expert_drives_where_no_student_does(

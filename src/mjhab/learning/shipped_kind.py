@@ -2,7 +2,8 @@
 
 `evaluation.resolve.full_spec` adds the subtask to "learned", for instance ``learned:set_table/close/fridge/top_door``.
 Without a subtask the students of a task's subtasks act in turn; where the robot is not teleported and the task has no
-student of Navigate, the expert drives.
+student of Navigate, the expert drives. "learned:NAME" is the checkpoint of that name, whatever is to be done: one that
+reads the sentence.
 """
 
 from __future__ import annotations
@@ -34,7 +35,7 @@ from mjhab.tasks.subtasks.registry import SUBTASKS
 
 FOLDER = Path(__file__).parent / "shipped"
 """Folder of checkpoints (`student.safetensors` of runs), named ``TASK.SUBTASK.TARGET.safetensors`` with "-" for "/", or
-``TASK.SUBTASK.safetensors`` of a student for all targets."""
+``TASK.SUBTASK.safetensors`` of a student for all targets; one that reads the sentence has a name of its own."""
 INDEX = "index.json"
 """File beside them: for a name that several checkpoints act for, or one that acts for other names too, their names."""
 
@@ -153,11 +154,15 @@ class ShippedPolicy(OpenedPolicy):
     @property
     def _name(self) -> str:
         """The name that was used, so that runs under the old one can go on."""
-        return self.spec.partition(":")[0]
+        head, _, tail = self.spec.partition(":")
+        return self.spec if tail in shipped() else head
 
     @cached_property
     def _found(self) -> OpenedPolicy:
-        wanted = Wanted.parse(self.spec.partition(":")[2])
+        told = self.spec.partition(":")[2]
+        if told in shipped():
+            return CheckpointFiles(shipped()[told])
+        wanted = Wanted.parse(told)
         if not wanted.subtask:
             return ShippedTask(self._name, wanted.task)
         return CheckpointFiles(shipped_path(wanted.task, wanted.subtask, wanted.target))

@@ -96,6 +96,7 @@ INTEGER_SUMS = {
         "size(shapes, f'{_PIXELS}{camera}.projection.0.weight', 0, 50)",
     },
     "learning/reinforcement/session.py": {"self._outcomes"},
+    "learning/students/routed.py": {"widths", "widths[:number]"},
     "learning/runs/imitation.py": {"tried_in(self.place(out, name))"},
     "paper/reproduce/results.py": {"summary['demonstrations']"},
     "evaluation/score/perturbed.py": {"self.won.values()"},

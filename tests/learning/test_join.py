@@ -11,7 +11,7 @@ import pytest
 import torch
 
 from mjhab.core.errors import UsageError
-from mjhab.learning.assigned.join import Route, join, joined
+from mjhab.learning.assigned.join import KnownRequest, join, joined
 from mjhab.learning.assigned.spec import PolicyJoinSpec
 from mjhab.learning.checkpoint import load_student, save_student
 from mjhab.learning.configs import ACT, InputConfig, NetworkConfig
@@ -50,11 +50,11 @@ def _member(seed: int, inputs: InputConfig) -> BehaviourCloning:
     return made.eval().requires_grad_(False)
 
 
-def _routes() -> list[Route]:
+def _routes() -> list[KnownRequest]:
     drawer, bowl = "kitchen_counter/drawer3", "024_bowl"
     asked = (("pick", bowl, 0), ("open", drawer, 1), ("close", drawer, 1))
     return [
-        Route(Scene(subtask=subtask, target=target), target, member, said)
+        KnownRequest(Scene(subtask=subtask, target=target), target, member, said)
         for (subtask, target, member), said in zip(asked, SAID, strict=True)
     ]
 

@@ -42,7 +42,7 @@ WORLDS = 8
 
 
 @dataclass(frozen=True)
-class Route:
+class KnownRequest:
     """A request that a joined policy knows.
 
     scene: where its member learned it. target: the type of its target. member: number of the policy that acts.
@@ -175,7 +175,7 @@ def _apart_from_tasks(saved: Checkpoint) -> ObservationSpec:
 
 def _routes(
     entry: Entry, member: int, saved: Sequence[Checkpoint], spec: PolicyJoinSpec
-) -> list[Route]:
+) -> list[KnownRequest]:
     """The requests that an entry is for, with the sentences of episodes of its member's training.
 
     Raises:
@@ -205,7 +205,7 @@ def _routes(
     if not found:
         raise fault(entry.checkpoint, f"was not trained for {entry.words}.")
     return [
-        Route(scene, target, member, _sentences(scene, target, spec))
+        KnownRequest(scene, target, member, _sentences(scene, target, spec))
         for scene, target in found
     ]
 
@@ -237,13 +237,13 @@ def _sentences(scene: Scene, target: str, spec: PolicyJoinSpec) -> tuple[str, ..
     return tuple(found)
 
 
-def _check_apart(routes: Sequence[Route]) -> None:
+def _check_apart(routes: Sequence[KnownRequest]) -> None:
     """Refuse requests in the same words.
 
     Raises:
         UsageError: names the sentence.
     """
-    seen: dict[str, Route] = {}
+    seen: dict[str, KnownRequest] = {}
     for route in routes:
         for sentence in route.sentences:
             other = seen.setdefault(sentence, route)
@@ -255,7 +255,7 @@ def _check_apart(routes: Sequence[Route]) -> None:
 
 
 def joined(
-    members: Sequence[BehaviourCloning], routes: Sequence[Route]
+    members: Sequence[BehaviourCloning], routes: Sequence[KnownRequest]
 ) -> BehaviourCloning:
     """One student that does on each route what its member does; its gate is not fitted yet.
 
@@ -307,7 +307,7 @@ def joined(
     return made.eval().requires_grad_(False)
 
 
-def _code(route: Route, number: int, member: BehaviourCloning) -> Tensor:
+def _code(route: KnownRequest, number: int, member: BehaviourCloning) -> Tensor:
     """What a member is told on a route; zeros on those of the others."""
     width = member.layout.conditioning_width
     if route.member != number:
@@ -340,7 +340,7 @@ def _take_over(expert: Trunk, member: BehaviourCloning, codes: Sequence[Tensor])
     expert.load_state_dict(new)
 
 
-def _unread(trunk: RoutedTrunk, routes: Sequence[Route]) -> tuple[str, ...]:
+def _unread(trunk: RoutedTrunk, routes: Sequence[KnownRequest]) -> tuple[str, ...]:
     """Sentences that the gate takes for those of another route."""
     wrong = []
     for number, route in enumerate(routes):

@@ -80,7 +80,7 @@ class RoutedTrunk(nn.Module):
             raise wrong_value(
                 "network.experts", config.network.experts, "of as many images each"
             )
-        self.layers = _Features(self.experts)
+        self.layers = _ExpertLayers(self.experts)
         self.width = len(self.experts) * (1 + self._expert(0).width)
 
     def _expert(self, number: int) -> Trunk:
@@ -121,7 +121,7 @@ def _span(widths: Sequence[int], number: int, step: int) -> range:
     return range(first, first + widths[number])
 
 
-class _Features(nn.Module):
+class _ExpertLayers(nn.Module):
     """The layers behind the encoders: from (B, E + F) to the features (B, E * (1 + H)) of the expert that acts."""
 
     def __init__(self, experts: nn.ModuleList) -> None:

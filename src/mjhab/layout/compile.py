@@ -22,9 +22,15 @@ def home_hash(layout: Layout, home: Home) -> str:
     """Return a hash of what the compiled model of a home is made of; it names a home on every machine.
 
     It covers home, layout, robot, assets, MuJoCo's version and the source of the code that builds models. Models of
-    equal hashes are equal on one machine; the last bits may differ where `arithmetic_digest` does.
+    equal hashes are equal on one machine; the last bits may differ where `arithmetic_digest` does. It is cached in the
+    layout, with the home, so that the home's id is not reused.
     """
-    pack = layout.pack
+    return layout.derived.get(
+        ("hash", id(home)), lambda: (home, _home_hash(layout, home))
+    )[1]
+
+
+def _home_hash(layout: Layout, home: Home) -> str:
     digest = hashlib.sha256(
         mujoco.__version__.encode()
         + code_digest("core.arithmetic", "scenes", "robots.model", "layout")
@@ -42,18 +48,19 @@ def home_hash(layout: Layout, home: Home) -> str:
             )
         ).encode()
     )
-    digest.update(
-        repr(
-            (
-                sorted(pack.props.items()),
-                sorted(pack.articulations.items()),
-                layout.objects,
-            )
-        ).encode()
-    )
-    for name in sorted(pack.meshes):
-        digest.update(name.encode() + pack.meshes[name].vertices.tobytes())  # type: ignore[attr-defined]
+    digest.update(layout.derived.get("pieces", lambda: _pieces(layout)))
     return digest.hexdigest()[:24]
+
+
+def _pieces(layout: Layout) -> bytes:
+    """Everything that the homes of a layout are made of, the same for all of them."""
+    pack = layout.pack
+    furniture = (sorted(pack.props.items()), sorted(pack.articulations.items()))
+    told = repr((*furniture, layout.objects)).encode()
+    return told + b"".join(
+        name.encode() + pack.meshes[name].vertices.tobytes()  # type: ignore[attr-defined]
+        for name in sorted(pack.meshes)
+    )
 
 
 def model_path(layout: Layout, home: Home) -> Path:

@@ -6,6 +6,7 @@ the robot is rasterised as the convex hull of its horizontal projection, doors a
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -241,8 +242,7 @@ def free_map(home: Home, pack: Pack, cell: float = 0.05) -> FreeMap:
         for lo, hi in ((x0, x1), (y0, y1))
     )
     blocked = np.zeros(shape, bool)
-    for polygon in blocking_polygons(home, pack):
-        _fill(blocked, polygon, origin, cell)
+    _fill(blocked, blocking_polygons(home, pack), np.array(origin), cell)
     xs = origin[0] + (np.arange(shape[0]) + 0.5) * cell
     ys = origin[1] + (np.arange(shape[1]) + 0.5) * cell
     blocked |= ~(((xs > x0) & (xs < x1))[:, None] & ((ys > y0) & (ys < y1))[None, :])
@@ -344,24 +344,39 @@ def reach(
 
 
 def _fill(
-    blocked: np.ndarray, polygon: np.ndarray, origin: tuple[float, float], cell: float
+    blocked: np.ndarray, polygons: Sequence[np.ndarray], origin: np.ndarray, cell: float
 ) -> None:
-    """Set the cells of ``blocked`` (X, Y) whose square overlaps a convex counter-clockwise polygon (N, 2) [m]."""
-    low = np.clip(
-        np.floor((polygon.min(0) - origin) / cell).astype(int), 0, blocked.shape
-    )
-    high = np.clip(
-        np.ceil((polygon.max(0) - origin) / cell - 1e-9).astype(int), 0, blocked.shape
-    )
-    if np.any(high <= low):
-        return
-    xs = origin[0] + (np.arange(low[0], high[0]) + 0.5) * cell
-    ys = origin[1] + (np.arange(low[1], high[1]) + 0.5) * cell
-    inside = np.ones((len(xs), len(ys)), bool)
-    for a, b in zip(polygon, np.roll(polygon, -1, axis=0), strict=True):
-        normal = np.array([b[1] - a[1], a[0] - b[0]])
-        slack = cell / 2 * np.abs(normal).sum() - 1e-9
-        inside &= (xs[:, None] - a[0]) * normal[0] + (ys[None, :] - a[1]) * normal[
-            1
-        ] < slack
-    blocked[low[0] : high[0], low[1] : high[1]] |= inside
+    """Set the cells of ``blocked`` (X, Y) whose square overlaps a convex counter-clockwise polygon (N, 2) [m].
+
+    A home has some 170 polygons of mostly four corners and a few hundred cells: those of as many corners go together.
+    """
+    by_corners: dict[int, list[np.ndarray]] = {}
+    for polygon in polygons:
+        by_corners.setdefault(len(polygon), []).append(polygon)
+    for alike in by_corners.values():
+        _fill_alike(blocked, np.stack(alike), origin, cell)
+
+
+def _fill_alike(
+    blocked: np.ndarray, polygons: np.ndarray, origin: np.ndarray, cell: float
+) -> None:
+    """`_fill` for polygons (P, N, 2) of one number of corners."""
+    low = np.floor((polygons.min(1) - origin) / cell).astype(int).clip(0, blocked.shape)
+    high = np.ceil((polygons.max(1) - origin) / cell - 1e-9).astype(int)
+    size = np.maximum(high.clip(0, blocked.shape) - low, 0)
+    # The cells of all bounding rectangles in a row; ``own``: number of the polygon, ``at``: position in its rectangle.
+    cells = size[:, 0] * size[:, 1]
+    own = np.repeat(np.arange(len(polygons)), cells)
+    at = np.arange(len(own)) - np.repeat(np.cumsum(cells) - cells, cells)
+    i = low[own, 0] + at // size[own, 1]
+    j = low[own, 1] + at % size[own, 1]
+    x = origin[0] + (i + 0.5) * cell
+    y = origin[1] + (j + 0.5) * cell
+    inside = np.ones(len(own), bool)
+    ends = np.roll(polygons, -1, axis=1)
+    for a, b in zip(polygons.swapaxes(0, 1), ends.swapaxes(0, 1), strict=True):
+        normal = np.stack([b[:, 1] - a[:, 1], a[:, 0] - b[:, 0]], axis=1)
+        slack = cell / 2 * np.abs(normal).sum(axis=1) - 1e-9
+        away = (x - a[own, 0]) * normal[own, 0] + (y - a[own, 1]) * normal[own, 1]
+        inside &= away < slack[own]
+    blocked[i[inside], j[inside]] = True

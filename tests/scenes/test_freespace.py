@@ -7,7 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mjhab.scenes.freespace import MAX_KEPT_FIELDS, blocking_polygons, free_map, reach
+from mjhab.scenes.freespace import MAX_KEPT_FIELDS, free_map, reach
+from mjhab.scenes.shapes.blocking import blocking_polygons
 from mjhab.scenes.shapes.shapes import box, rod, span
 from mjhab.scenes.spec import Geom, Home, Pack, Placement, Prop, Receptacle
 from tests.refusals import refused

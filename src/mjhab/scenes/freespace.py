@@ -14,19 +14,17 @@ import numpy as np
 from scipy.ndimage import distance_transform_edt, label
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import dijkstra
-from scipy.spatial import ConvexHull, KDTree
+from scipy.spatial import KDTree
 
 from mjhab.core.errors import UsageError
 from mjhab.core.grids import SIXTEEN, grid_graph
 from mjhab.core.memory_cache import MemoryCache
-from mjhab.core.rotations import mat_from_quat
-from mjhab.scenes.shapes.footprints import all_geoms, outline, rectangle
-from mjhab.scenes.spec import IDENTITY, Articulation, Geom, Home, Pack, Placement, Prop
+from mjhab.scenes.shapes.blocking import blocking_polygons
+from mjhab.scenes.shapes.footprints import rectangle
+from mjhab.scenes.spec import Home, Pack, Prop
 
 NAVMESH_BASE_RADIUS_M = 0.3
 """Radius [m] of the robot that HAB computes its navigation meshes for."""
-ROBOT_HEIGHT_M = 1.4
-"""Geoms entirely above this height [m] do not block the base; the head camera of the benchmark's robot is at 1.41 m."""
 MAX_KEPT_FIELDS = 4
 """Number of distance fields that a map caches; one of an apartment takes about 0.2 MB."""
 _ROWS = 64
@@ -250,48 +248,6 @@ def free_map(home: Home, pack: Pack, cell: float = 0.05) -> FreeMap:
         np.asarray(distance_transform_edt(~blocked)) * cell - cell / 2, 0.0
     )
     return FreeMap(origin, cell, blocked, clearance)
-
-
-def blocking_polygons(home: Home, pack: Pack) -> list[np.ndarray]:
-    """Compute the convex polygons (N, 2) [m] in the world, counter-clockwise, of all geoms that block the base."""
-    polygons = [
-        _flatten(g, Placement("wall", (0.0, 0.0, 0.0)), pack)
-        for g in home.walls
-        if g.collide
-    ]
-    for placement in (*home.props, *home.articulations):
-        template: Prop | Articulation
-        if placement.template in pack.props:
-            template = pack.props[placement.template]
-            if not template.blocks_base:
-                continue
-        else:
-            template = pack.articulations[placement.template]
-        polygons += [
-            _flatten(g, placement, pack) for g in all_geoms(template) if g.collide
-        ]
-    return [p for p in polygons if p is not None]
-
-
-def _flatten(geom: Geom, placement: Placement, pack: Pack) -> np.ndarray | None:
-    """Convex polygon (N, 2) [m] of a geom seen from above, counter-clockwise; None if it does not block the base."""
-    if (
-        geom.shape == "box" and geom.quat == IDENTITY and placement.quat is None
-    ):  # most geoms, and no hull to find
-        (x, y, z) = geom.pos
-        (hx, hy, hz) = geom.size
-        z += placement.pos[2]
-        hidden = z - hz >= ROBOT_HEIGHT_M or z + hz <= 0.0
-        return (
-            None if hidden else rectangle(placement, (x - hx, x + hx), (y - hy, y + hy))
-        )
-    points = outline(geom, pack.meshes) @ mat_from_quat(
-        np.array(placement.rotation)
-    ).T + np.array(placement.pos)
-    if points[:, 2].min() >= ROBOT_HEIGHT_M or points[:, 2].max() <= 0.0:
-        return None
-    flat = np.unique(points[:, :2].round(9), axis=0)
-    return flat[ConvexHull(flat).vertices]
 
 
 @dataclass(frozen=True)

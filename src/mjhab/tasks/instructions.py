@@ -12,6 +12,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 
@@ -295,6 +296,7 @@ def furniture_words(furniture: str) -> str:
     return FURNITURE_WORDS.get(furniture) or plain_words(furniture, "piece of furniture")
 
 
+@cache
 def plain_words(name: str, code: str = "thing") -> str:
     """An id as words, without numbers that only tell copies and versions: "drawer3" as "drawer", "024_bowl" as "bowl",
     "my_mug_2" as "my mug", "chestOfDrawers_01" as "chest of drawers".

@@ -120,7 +120,7 @@ class _Tale:
             known = obj in self.layout.link_ids
             names = (self.words.link(obj),) if known else ()
             return InstructionRequest(subtask.name, target, Spot(), goal, names)
-        place = self.places.get(obj)
+        place = self.place(obj) if obj in self.points else None
         found = self._mark(position, obj, anytime) if obj in self.points else Mark()
         return InstructionRequest(
             subtask.name,
@@ -157,18 +157,17 @@ class _Tale:
         return {name: (x, y, z) for name, (x, y, z) in named if z > _DEEP_M}
 
     @cached_property
-    def places(self) -> dict[str, PlacedReceptacle | None]:
-        """The receptacle of every object."""
-        return {
-            name: self.words.place(
-                point, self._targets[name].start_link if name in self._targets else ""
-            )
-            for name, point in self.points.items()
-        }
+    def place(self) -> Callable[[str], PlacedReceptacle | None]:
+        """The receptacle of an object of `points`; found once, and only of those of which something is told."""
+        return cache(self._place)
+
+    def _place(self, obj: str) -> PlacedReceptacle | None:
+        target = self._targets.get(obj)
+        return self.words.place(self.points[obj], target.start_link if target else "")
 
     def _mark(self, position: int, obj: str, anytime: bool) -> Mark:
         """What tells an object from others that its name and its place fit."""
-        place = self.places[obj]
+        place = self.place(obj)
         spot = self._spot(place)
         others: list[tuple[float, float]] = []
         at_start = []
@@ -201,7 +200,7 @@ class _Tale:
             others: x, y [m] of the others.
             at_start: of those that are there at the start of the episode; None if all are there all the time.
         """
-        place = self.places[obj]
+        place = self.place(obj)
         own = self.points[obj][:2]
         left = self.words.left(place)
         without = {obj, *self._rivals(obj)}
@@ -227,7 +226,7 @@ class _Tale:
         self, position: int, obj: str, anytime: bool
     ) -> list[tuple[Vec3, PlacedReceptacle | None]]:
         """Where an object is when the subtask at ``position`` starts; ``anytime``: also at the start of the episode."""
-        found = [(self.points[obj], self.places[obj])]
+        found = [(self.points[obj], self.place(obj))]
         for subtask in self.plan.subtasks[:position]:
             if subtask.obj == obj and spec_of(subtask.kind).brings_to_goal:
                 found.append((subtask.goal_pos, self._goal_place(subtask)))
@@ -236,7 +235,7 @@ class _Tale:
     def _landmarks_on(self, spot: Spot, without: Collection[str]) -> list[Landmark]:
         """Objects in a place of which there is one of their name there, and which the plan does not move."""
         moved = {subtask.obj for subtask in self.plan.subtasks if subtask.obj}
-        here = [name for name in self.points if self._spot(self.places[name]) == spot]
+        here = [name for name in self.points if self._spot(self.place(name)) == spot]
         # What the plan brings here must not be taken for a landmark.
         here += [name for name in moved if name in self.points and name not in here]
         return [

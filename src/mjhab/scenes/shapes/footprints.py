@@ -116,6 +116,11 @@ def rectangle(
 ) -> np.ndarray:
     """Compute the corners (4, 2) [m] in the world of a rectangle with extents x, y [m] in a placed template's frame."""
     local = np.array([[x[0], y[0]], [x[1], y[0]], [x[1], y[1]], [x[0], y[1]]])
+    return turned(placement, local)
+
+
+def turned(placement: Placement, local: np.ndarray) -> np.ndarray:
+    """Points (..., N, 2) [m] in the world of points on the floor of an upright template's frame."""
     c = math.cos(placement.yaw)
     s = math.sin(placement.yaw)
     return local @ np.array([[c, s], [-s, c]]) + np.array(placement.pos[:2])

@@ -14,7 +14,6 @@ import torch
 from safetensors.torch import save_file
 
 from mjhab.core.errors import UsageError
-from mjhab.learning import compact
 from mjhab.learning.batches import BatchSampler, take_chunks
 from mjhab.learning.changes import with_changes
 from mjhab.learning.checkpoint import (
@@ -35,6 +34,8 @@ from mjhab.learning.configs import (
     student_from_plain,
     to_plain,
 )
+from mjhab.learning.reinforcement.configs import PpoConfig, reinforcement_preset
+from mjhab.learning.resuming import as_begun_now
 from mjhab.learning.runs.evaluation import EvaluationClock
 from mjhab.learning.runs.imitation import ImitationSession
 from mjhab.learning.runs.run import Logbook, TrainingFolder
@@ -42,6 +43,7 @@ from mjhab.learning.runs.session import Session
 from mjhab.learning.runs.specs import ImitationSpec, Scene, TrainSpec
 from mjhab.learning.runs.train import open_session
 from mjhab.learning.runs.training import BrokenLossError, Trainer
+from mjhab.learning.students import compact
 from mjhab.learning.students.heads import check_student, make_student
 from mjhab.learning.students.student import Batch
 from mjhab.reports.compared.trainings import read_metrics, success_curves
@@ -401,6 +403,44 @@ def test_a_run_leaves_its_folder_and_resumes_exactly(
         train_in(request(source, seed=1), tmp_path / "part", resume=True)
     with refused("out", expected="empty"):
         train_in(request(source), tmp_path / "part")
+
+
+def test_which_runs_may_become_longer() -> None:
+    """Those whose learning rate does not depend on their length; and options that are new since have their defaults."""
+    plain = json.loads(
+        json.dumps({"algorithm": "bc", "config": dataclasses.asdict(train_config())})
+    )
+    longer = json.loads(json.dumps(plain))
+    longer["config"]["student"]["updates"] += 4
+    assert as_begun_now(plain, longer) == longer
+    assert as_begun_now(longer, plain) == longer, "shorter ones stay refused"
+    ending = dataclasses.replace(
+        reinforcement_preset("ppo"), ppo=PpoConfig(learning_rate_end=0.1)
+    )
+    tapering = {"algorithm": "ppo", "config": dataclasses.asdict(ending)}
+    cosine = json.loads(json.dumps(plain))
+    cosine["config"]["student"]["optimizer"]["schedule"] = "cosine"
+    rounds = json.loads(json.dumps(plain))
+    rounds["config"]["dagger"] = dataclasses.asdict(DaggerConfig())
+    for old, path, reason in (
+        (tapering, ("samples",), "ppo.learning_rate_end"),
+        (cosine, ("student", "updates"), "optimizer.schedule"),
+        (rounds, ("student", "updates"), "the rounds of DAgger"),
+    ):
+        now = json.loads(json.dumps(old))
+        *parents, name = path
+        place = now["config"]
+        for parent in parents:
+            place = place[parent]
+        place[name] += 1
+        with refused(name, given=place[name], advice=reason):
+            as_begun_now(old, now)
+    older = json.loads(json.dumps(plain))
+    del older["config"]["student"]["inputs"]["images"]
+    assert as_begun_now(older, json.loads(json.dumps(plain))) == plain
+    changed = json.loads(json.dumps(plain))
+    changed["config"]["student"]["inputs"]["images"] = "rgb"
+    assert as_begun_now(older, changed) != changed
 
 
 def test_nan_keeps_the_last_good_checkpoint(

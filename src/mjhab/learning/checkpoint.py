@@ -22,11 +22,11 @@ from mjhab.core.files.cache import write_atomic
 from mjhab.core.files.reading import is_file, parse_json, reason
 from mjhab.core.typed.options import read_record
 from mjhab.core.version import __version__
-from mjhab.learning.compact import compacted, expanded
 from mjhab.learning.configs import StudentConfig, student_from_plain, to_plain
 from mjhab.learning.observation.backbone import find_backbone
 from mjhab.learning.observation.spec import ObservationSpec
 from mjhab.learning.runs.run import STUDENT
+from mjhab.learning.students.compact import compacted, expanded
 from mjhab.learning.students.heads import make_student
 from mjhab.learning.students.student import Student
 

@@ -183,6 +183,17 @@ class RunFolder:
             cls._check_same(path, json.loads(json.dumps(config)))
 
     @classmethod
+    def _as_begun_now(
+        cls, old: Mapping[str, Any], config: Mapping[str, Any]
+    ) -> Mapping[str, Any]:
+        """What the run in the folder is compared as with the ``config`` to resume it with; ``old`` is what it has.
+
+        Raises:
+            UsageError: the run cannot be resumed with it.
+        """
+        return old
+
+    @classmethod
     def _check_same(cls, path: Path, config: Mapping[str, Any]) -> None:
         """Refuse to resume a folder of another run.
 
@@ -201,6 +212,7 @@ class RunFolder:
         except UsageError as error:
             remedy = "Use --overwrite." if cls.OWN else "Give another --out."
             raise UsageError(f"cannot resume: {error} {remedy}") from error
+        old = cls._as_begun_now(old, config)
         changes = [
             change
             for key in sorted({*old, *config} - cls.FREE_KEYS)

@@ -1,6 +1,6 @@
 """The folder of a training run, and its log.
 
-config.json        the resolved config; a resumed run must match it
+config.json        the resolved config; a resumed run must match it, but may be longer (`learning.resuming`)
 metrics.jsonl      one line per report: step, samples, seconds and metrics
 tensorboard/       the same metrics for TensorBoard
 data/round_000/    collected demonstrations of a round, in shards
@@ -29,6 +29,7 @@ from rich.table import Table
 
 from mjhab.core.arithmetic.sums import ordered_sum
 from mjhab.core.files.run_folder import RunFolder, write_text
+from mjhab.learning.resuming import as_begun_now
 from mjhab.reports.compared.trainings import FINAL, METRICS, read_metrics
 
 TENSORBOARD = "tensorboard"
@@ -47,6 +48,12 @@ class TrainingFolder(RunFolder):
     """The folder of a training run; metrics.jsonl counts as work if it has a line."""
 
     WORK = (f"*{SUFFIX}", "*.h5", "*.jsonl", "complete.json")
+
+    @classmethod
+    def _as_begun_now(
+        cls, old: Mapping[str, Any], config: Mapping[str, Any]
+    ) -> Mapping[str, Any]:
+        return as_begun_now(old, config)
 
     @property
     def training(self) -> Path:

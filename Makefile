@@ -62,9 +62,9 @@ test-generate: $(VENV)/.dev  ## generate EPISODES=50 with two kills -9, resume; 
 	$(BIN)/python tests/generate/check_generate.py $(GENERATE_OUT) $(EPISODES)
 
 MSHAB_OUT := runs/mshab
-test-mshab: $(VENV)/.dev  ## run the scripts of a checkout of MS-HAB, MSHAB=FOLDER, unchanged (needs its libraries: omegaconf dacite wandb tensorboardX diffusers)
+test-mshab: $(VENV)/.dev  ## run the scripts of a checkout of MS-HAB, MSHAB=FOLDER, unchanged (needs its libraries: omegaconf dacite wandb tensorboardX diffusers); VLA=FOLDER: and an evaluation of pi0
 	@test -d "$(MSHAB)/mshab" || { echo "MSHAB=FOLDER must be a checkout of MS-HAB"; exit 2; }
-	$(BIN)/python tests/compat/originals.py $(MSHAB) $(MSHAB_OUT)
+	PYTHONPATH=. $(BIN)/python tests/compat/originals.py $(MSHAB) $(MSHAB_OUT) $(if $(VLA),--vla $(VLA))
 
 SENTENCES_OUT := runs/sentences.json
 PACKS ?= builtin

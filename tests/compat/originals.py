@@ -1,9 +1,10 @@
 """Runs MS-HAB's own scripts, unchanged, with short runs on the CPU: ``make test-mshab MSHAB=/path/to/checkout``.
 
 Only counts, paths and the device differ from the configuration files. The two data generators have their counts as
-constants of the module, which ``--set`` gives other values. What is printed at the end, a line of JSON per script, says
-which script ran with which arguments, its exit status and its time. The interpreter needs what the scripts import
-besides: omegaconf, dacite, wandb, tensorboardX, diffusers.
+constants of the module, which ``--set`` gives other values. With ``VLA=/path/to/openpi``, a checkout of
+github.com/liujiahao2077/openpi, an evaluation of a VLA that others published for MS-HAB runs, too (`vla_original`).
+What is printed at the end, a line of JSON per script, says which script ran with which arguments, its exit status and
+its time. The interpreter needs what the scripts import besides: omegaconf, dacite, wandb, tensorboardX, diffusers.
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ import torch
 
 import mjhab.compat.mshab  # noqa: F401 - makes the ids known
 from mjhab.compat.mshab.files.plans import plan_data_from_file, write_plan_data
+from tests.compat.vla_original import evaluate_vla
 
 TASK = "set_table"
 EPISODES = 4
@@ -70,13 +72,14 @@ class Runs:
         self.demos = root / "rearrange-dataset" / TASK / "pick"
         self.results: list[dict[str, object]] = []
 
-    def run(self, name: str, *command: str | Path) -> bool:
-        """Run a command of this interpreter; its output goes to ``<name>.log``."""
+    def run(self, name: str, *command: str | Path, **env: str) -> bool:
+        """Run a command of this interpreter, with further variables; its output goes to ``<name>.log``."""
         whole = [sys.executable, *map(str, command)]
         env = {
             **os.environ,
             "MS_ASSET_DIR": str(self.out / "assets"),
             "WANDB_MODE": "disabled",
+            **env,
         }
         start = time.perf_counter()
         with (self.out / f"{name}.log").open("w") as log:
@@ -260,8 +263,12 @@ class Runs:
             "eval_env.max_episode_steps=12",
         )
 
-    def all(self) -> int:
-        """Run everything; the number of scripts that failed."""
+    def all(self, vla: Path | None) -> int:
+        """Run everything; the number of scripts that failed.
+
+        Args:
+            vla: checkout with the evaluation of a VLA, if it is to run.
+        """
         for split in ("train", "val"):
             where = ("--split", split, "--out", self.rearrange, "--overwrite")
             plans = ("episodes", "plans", "--task", TASK, "--count", EPISODES, *where)
@@ -274,7 +281,8 @@ class Runs:
             self.generate_chains()
             self.imitate()
             self.evaluate()
-        return sum(result["rc"] != 0 for result in self.results)
+        failed = sum(result["rc"] != 0 for result in self.results)
+        return failed + (vla is not None and not evaluate_vla(self, vla))
 
 
 def keep_finished(file: Path) -> None:
@@ -311,8 +319,9 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("checkout", type=Path, help="of MS-HAB")
     parser.add_argument("out", type=Path, help="folder for plans, data and logs")
+    parser.add_argument("--vla", type=Path, help="checkout of openpi with examples/mshab")
     given = parser.parse_args()
-    failed = Runs(given.checkout, given.out).all()
+    failed = Runs(given.checkout, given.out).all(given.vla)
     print(f"{failed} failed" if failed else "all ran unchanged")
     return min(failed, 1)
 

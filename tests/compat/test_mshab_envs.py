@@ -183,6 +183,15 @@ def test_a_reset_that_means_nothing_is_refused(
         env.reset(**given)
 
 
+def test_the_first_reset_begins_all_worlds() -> None:
+    fresh = gymnasium.make("PickSubtaskTrain-v0", num_envs=2, obs_mode="state")
+    for chosen in ([1], [0, 0], []):
+        with refused("env_idx", chosen, "first reset"):
+            fresh.reset(options={"env_idx": chosen})
+    fresh.reset(options={"env_idx": [1, 0]})
+    fresh.close()
+
+
 def test_what_is_not_answered_is_told(env: Any) -> None:
     env.reset(seed=0)
     with refused("action"):

@@ -365,7 +365,7 @@ def test_plans_of_objects_that_are_not_there(table: Path, tmp_path: Path) -> Non
     plan = request.plans[0]
     other_plan = dataclasses.replace(plan, subtasks=[PickSubtask("099_drill-0")])
     other_plan.subtasks[0].uid = plan.subtasks[0].uid
-    with refused("pick", expected="one of the episode's subtasks", where="task_plans[0]"):
+    with refused("pick", "obj_id 099_drill-0", "024_bowl_", where="task_plans[0]"):
         plan_starts(dataclasses.replace(request, plans=[other_plan], root=table))
 
 

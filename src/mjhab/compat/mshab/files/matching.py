@@ -106,8 +106,9 @@ def position_in(chain: TaskPlan, layout: Layout, subtask: FileSubtask) -> int:
     ]
     if not found:
         about = _described(subtask)
-        has = ", ".join(f"{own.name} {own.target}" for own in chain.subtasks)
-        raise wrong_value(subtask.type, about, f"one of the episode's subtasks: {has}")
+        alike = [own.target for own in chain.subtasks if own.name == subtask.type]
+        has = ", ".join(alike) or "none"
+        raise wrong_value(subtask.type, about, f"one of the episode's: {has}")
     if isinstance(subtask, NavigateSubtask) and subtask.goal_pos is not None:
         return min(found, key=lambda i: _distance(chain.subtasks[i].goal_pos, subtask))
     return found[0]

@@ -319,7 +319,9 @@ def _take_own_options(made: Arguments, value: Any) -> None:
     check(isinstance(given, Mapping), "mjhab_options", value, "a mapping")
     for name in given:
         if name in _DECIDED:
-            raise wrong_value("mjhab_options", name, "of another option", _DECIDED[name])
+            raise wrong_value(
+                "mjhab_options", name, "options that no argument decides", _DECIDED[name]
+            )
     made.mjhab_options = dict(given)
 
 

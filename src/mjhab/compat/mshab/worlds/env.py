@@ -123,7 +123,11 @@ class MsHabEnv(SceneParts, gymnasium.Env):
                 raise unknown_name("reset option", name, RESET_OPTIONS)
         begun = _indices(options.get("env_idx"), self.num_envs)
         reconfigure = bool(options.get("reconfigure"))
-        whole = len(begun) == self.num_envs
+        whole = len(set(begun)) == self.num_envs
+        if not (whole or self._ever_reset):
+            raise wrong_value(
+                "env_idx", begun, "left out in the first reset, which begins all worlds"
+            )
         if seed is not None and not (whole or self._on_host):
             raise UsageError("on a device a seed is for all worlds: leave out env_idx.")
         if reconfigure and not whole:

@@ -145,6 +145,30 @@ def test_starts_in_replica_cad(tmp_path: Path) -> None:
     assert str(plans[0].build_config_name).startswith("v3_sc3_staging_")
 
 
+def test_episodes_of_a_file_may_use_fewer_objects(table: Path, tmp_path: Path) -> None:
+    rows = [json.loads(path.read_text()) for path in sorted(table.rglob("episode_*"))]
+    can = next(each for each in rows[1]["rigid_objs"] if "master_chef" in each[0])
+    rows[1]["rigid_objs"].remove(can)
+    file = tmp_path / "published.json"
+    file.write_text(json.dumps({"episodes": rows}))
+    config = EnvConfig(profile="ms_hab", task=TABLE, split="val", episodes_file=str(file))
+    make_plans(config, tmp_path, 2, ("pick",))
+    for index, row in enumerate(rows):
+        own = json.loads((tmp_path / f"val/set_table/episode_{index}.json").read_text())
+        assert len(own["rigid_objs"]) == len(row["rigid_objs"])
+    starts = plan_starts(request_of(tmp_path, TABLE, "pick"))
+    ours = source(**starts.options)
+    layout = ours.layout
+    used = [layout.used_slots(ours.episode(0, i).object_pose).sum() for i in range(4)]
+    assert used == [len(rows[i]["rigid_objs"]) for i in (0, 0, 1, 1)]
+    spawns = read_spawn_data(spawns_of(tmp_path, TABLE, "pick") or tmp_path)
+    for i, entry in enumerate(spawns.values()):
+        start = ours.start(ours.episode(0, i))
+        columns = CpuSimulator(layout, 1, 1).addresses.robot_q
+        posture = np.delete(start.qpos[columns], [0, 1, 2])
+        np.testing.assert_allclose(posture, entry["robot_qpos"][0, 3:], atol=FLOAT32)
+
+
 def test_the_pools_own_choice_is_among_them(table: Path) -> None:
     """`start` of a pool, which draws the position itself, is one of the starts of the files."""
     starts = plan_starts(request_of(table, TABLE, "pick"))

@@ -38,8 +38,6 @@ NEAR_M = 0.25
 """Farther than this [m] from the target, plus both radii, no distractor is put."""
 ABOVE_M = 0.35
 """Objects that are farther above or below than this [m] are on another shelf."""
-PARKED_M = 0.1
-"""Objects nearer than this [m] to their place outside of the home are not used by the episode."""
 PLACES = 60
 """Places that are tried for a distractor."""
 
@@ -114,8 +112,7 @@ class EpisodePerturber:
         targets = _handled(self._starts, episode) or episode.targets
         names = {target.obj for target in targets}
         is_target = np.array([name in names for name in layout.object_names])
-        apart = np.abs(episode.object_pose[:, :2] - layout.parked_poses[:, :2])
-        used = apart.max(axis=1) > PARKED_M
+        used = layout.used_slots(episode.object_pose)
         places = episode.object_pose[:, :3]
         goals = [target.goal_pos for target in targets]
         handles = [layout.closed_handle(home, name)[:2] for name in layout.link_ids]
@@ -227,8 +224,7 @@ class _Objects:
         layout = starts.layout
         targets = {target.obj for target in episode.targets}
         names = layout.object_names
-        parked = layout.parked_poses[:, :2]
-        used = np.abs(episode.object_pose[:, :2] - parked).max(axis=1) > PARKED_M
+        used = layout.used_slots(episode.object_pose)
         self.distractors: Sequence[int] = [
             slot
             for slot in range(len(names))

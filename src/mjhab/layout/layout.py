@@ -39,6 +39,8 @@ from mjhab.scenes.spec import (
 
 PARK_ORIGIN = (40.0, 40.0)
 """Position x, y [m] where slot 0 is parked if an episode does not use it; slot i lies 0.5 i m further along x."""
+PARKED_TOLERANCE_M = 0.1
+"""An object nearer than this [m] to its parked place is not used: what is parked moves by less while things settle."""
 
 
 def yaw_quat(yaw: float) -> Quat:
@@ -176,6 +178,11 @@ class Layout:
         poses[:, 2] = [kind.half[2] for kind in self.objects]
         poses[:, 3] = 1.0
         return poses
+
+    def used_slots(self, object_pose: np.ndarray) -> np.ndarray:
+        """(N,) bool: which object slots an episode uses, of its poses (N, 7); the others are at `parked_poses`."""
+        apart = np.abs(object_pose[:, :2] - self.parked_poses[:, :2])
+        return apart.max(axis=1) > PARKED_TOLERANCE_M
 
     def slot_placements(self, home: Home) -> list[Placement | None]:
         """Return the placement of every prop slot in a home; None for slots that the home does not use."""

@@ -52,7 +52,13 @@ def to_hab(layout: Layout, home: Home, episode: Episode) -> HabEpisode:
                 f"{kind}{OBJECT_SUFFIX}",
                 pose_to_hab(pose, layout.pack.objects[kind].scan_yaw),
             )
-            for kind, pose in zip(layout.roster, episode.object_pose, strict=True)
+            for kind, pose, used in zip(
+                layout.roster,
+                episode.object_pose,
+                layout.used_slots(episode.object_pose),
+                strict=True,
+            )
+            if used
         ),
         targets={
             name: pose_to_hab(pose, kinds[name].scan_yaw) for name, pose in goals.items()

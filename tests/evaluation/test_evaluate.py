@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import random
 import tracemalloc
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -13,12 +13,17 @@ import numpy as np
 import pytest
 
 import mjhab
+from mjhab.core.errors import MjhabError, UsageError
+from mjhab.data.record.ray_workers import check_node, node_identity
 from mjhab.evaluation import evaluate as library
+from mjhab.evaluation import spread
 from mjhab.evaluation.evaluate import EvalSpec, EvaluationInterrupted, run_evaluation
 from mjhab.rollout.films import HumanView
 from mjhab.rollout.policy import RolloutEnv, ZeroPolicy
+from mjhab.rollout.records import EpisodeRecord
 from mjhab.rollout.sinks import Sink
 from mjhab.rollout.store import read_records
+from tests.data.record.worker_pools import InlinePool
 from tests.refusals import refused
 from tests.rollout.fake_env import FakeEnv
 
@@ -44,7 +49,8 @@ def stage(monkeypatch: pytest.MonkeyPatch) -> Stage:
     stage = Stage()
     monkeypatch.setattr(library, "make_env", stage.make_env)
     # A camera that looks for hand and target needs the robot, which the stand-in lacks.
-    monkeypatch.setattr(library, "FilmCrew", HumanView)
+    monkeypatch.setattr(spread, "FilmCrew", HumanView)
+    monkeypatch.setattr(spread, "make_env", stage.make_env)
     return stage
 
 
@@ -258,3 +264,67 @@ def test_the_seed_of_the_run_seeds_the_global_generators(tmp_path: Path) -> None
     other = drawn(4, "c")
     assert all(a != b for a, b in zip(first, other, strict=False))
     assert drawn(2**40, "d")[0] != first[0]
+
+
+class HeardSink(Sink[RolloutEnv]):
+    """Hears what a progress bar needs."""
+
+    def __init__(self) -> None:
+        self.begun: list[int] = []
+        self.ended: list[int] = []
+
+    def on_begin(self, env: RolloutEnv, episodes: Collection[int]) -> None:
+        self.begun = list(episodes)
+
+    def on_episode_end(self, env: RolloutEnv, world: int, record: EpisodeRecord) -> None:
+        self.ended.append(record.index)
+
+
+@pytest.mark.parametrize("deaths", [0.0, 0.15])
+def test_several_workers_make_the_records_of_one_process(
+    deaths: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    options: dict[str, Any] = {"worlds": 2, "films": 2}
+    alone = mjhab.evaluate("random", episodes=11, out=tmp_path / "alone", **options)
+    pool = InlinePool(seed=3, deaths=deaths)
+    monkeypatch.setattr(spread, "make_pool", lambda workers, ray: pool)
+    heard = HeardSink()
+    options |= {"workers": 3, "out": tmp_path / "spread"}
+    mjhab.evaluate("random", episodes=4, **options)
+    again = EvalSpec.of("random", episodes=11, resume=True, **options)
+    run = run_evaluation(again, [heard])
+    assert pool.stopped and (pool.died > 0) == (deaths > 0)
+    assert heard.begun == sorted(heard.ended) == list(range(4, 11))
+    assert run.records == alone.records
+    films = [sorted(f.name for f in (r.path / "films").iterdir()) for r in (run, alone)]
+    assert films[0] == films[1] and len(films[0]) == 2
+
+
+def test_a_worker_that_dies_again_and_again_ends_the_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(spread, "make_pool", lambda workers, ray: InlinePool(0, 1.0))
+    with pytest.raises(MjhabError, match="died 3 times"):
+        mjhab.evaluate("zero", episodes=6, workers=2, films=0, out=tmp_path / "run")
+
+
+def test_policies_that_several_processes_cannot_ask_are_refused(tmp_path: Path) -> None:
+    out = tmp_path / "run"
+    with refused("workers", 2, expected="0, and no --ray, with a served policy"):
+        mjhab.evaluate("ws://127.0.0.1:1", subtask="pick", workers=2, out=out)
+    with refused(said="cannot be sent to worker processes"):
+        mjhab.evaluate(lambda env: ZeroPolicy(), workers=2, out=out)
+    assert not out.exists()
+
+
+def test_a_node_of_another_version_is_refused_and_one_that_sees_no_folder(
+    tmp_path: Path,
+) -> None:
+    same = {**node_identity(), "node": "other", "folder": "True"}
+    check_node(same, tmp_path)
+    with pytest.raises(UsageError, match=r"mjhab 0\.0\.1, this machine"):
+        check_node({**same, "mjhab": "0.0.1"}, tmp_path)
+    with pytest.raises(UsageError, match="arithmetic"):
+        check_node({**same, "arithmetic": "0"}, tmp_path)
+    with pytest.raises(UsageError, match="does not see"):
+        check_node({**same, "folder": "False"}, tmp_path)

@@ -8,7 +8,7 @@ import sys
 
 import numpy as np
 
-from mjhab.evaluation.evaluate import close_policy, requests_of
+from mjhab.evaluation.parts import close_policy, requests_of
 from mjhab.evaluation.resolve import resolve_policy
 from mjhab.rollout.loop import rollout
 from tests.evaluation.served.test_policy import world

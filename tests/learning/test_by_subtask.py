@@ -12,7 +12,7 @@ import pytest
 
 import mjhab
 from mjhab.core.errors import UsageError
-from mjhab.evaluation.evaluate import close_policy
+from mjhab.evaluation.parts import close_policy
 from mjhab.evaluation.resolve import (
     NoPolicyError,
     full_spec,

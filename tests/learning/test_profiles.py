@@ -12,12 +12,8 @@ import pytest
 from mjhab.config.env import EnvConfig
 from mjhab.config.profiles import MS_HAB
 from mjhab.core.errors import UsageError
-from mjhab.evaluation.evaluate import (
-    EvalSpec,
-    describe_policy,
-    env_options,
-    resolved_config,
-)
+from mjhab.evaluation.evaluate import EvalSpec, resolved_config
+from mjhab.evaluation.parts import describe_policy, env_options
 from mjhab.learning.checkpoint import save_student
 from mjhab.learning.demos import load_demonstrations, observation_spec_of_data
 from mjhab.learning.observation.spec import ObservationSpec, profile_of

@@ -11,7 +11,8 @@ from typing import Any
 import pytest
 
 from mjhab.cli.main import parse
-from mjhab.evaluation.evaluate import EvalSpec, describe_policy, resolved_config
+from mjhab.evaluation.evaluate import EvalSpec, resolved_config
+from mjhab.evaluation.parts import describe_policy
 from mjhab.evaluation.resolve import full_spec, inspect_policy, resolve_policy
 from mjhab.learning import shipped_kind
 from mjhab.learning.assigned.entries import trained_for

@@ -7,29 +7,32 @@ from __future__ import annotations
 
 import re
 import time
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from mjhab.config.env import EnvConfig
-from mjhab.config.env_spec import env_names
-from mjhab.core.errors import unknown_name, wrong_value
+from mjhab.core.errors import wrong_value
 from mjhab.core.version import __version__
-from mjhab.evaluation.filming import FilmCrew
 from mjhab.evaluation.global_random import SeededGlobals
-from mjhab.evaluation.own_policy import OwnPolicy
+from mjhab.evaluation.parts import (
+    RECORDED,
+    check_sendable,
+    close_policy,
+    env_options,
+    make_env,
+    open_any,
+    policy_options,
+    recorded_value,
+    requests_of,
+)
 from mjhab.evaluation.resolve import (
-    OpenedPolicy,
     PolicyFacts,
-    PolicyOptions,
-    open_policy,
 )
 from mjhab.evaluation.specs import EvalSpec, PolicyLike
+from mjhab.evaluation.spread import SpreadRollout, film_sink
 from mjhab.reports.metrics import (
     AloneRates,
     alone_rates,
@@ -38,9 +41,8 @@ from mjhab.reports.metrics import (
     summarize,
 )
 from mjhab.reports.run import render_report
-from mjhab.rollout.films import Film, FilmSink
 from mjhab.rollout.loop import plain, rollout
-from mjhab.rollout.policy import Clipped, Composed, Paced, Policy, RolloutEnv, Timed
+from mjhab.rollout.policy import Policy, RolloutEnv
 from mjhab.rollout.records import EpisodeRecord
 from mjhab.rollout.sinks import Sink
 from mjhab.rollout.store import REPORT, EvaluationFolder, StoreSink, read_records
@@ -48,27 +50,10 @@ from mjhab.scenes.packs import stage_of
 from mjhab.tasks.style import Styles
 
 if TYPE_CHECKING:
-    from mjhab.envs.sequential import SequentialTaskEnv
+    pass
 
 REQUEST_FACTS = ("latency_ms", "late_steps", "out_of_range")
 """Entries of a summary about the requests of a policy, see `requests_of`."""
-FILM_QUALITY = 27
-"""x264 constant rate factor. The film of a whole chain takes a few MB, because the report embeds it."""
-RECORDED = {
-    "task": "task",
-    "subtask": "subtask",
-    "target": "target",
-    "worlds": "num_envs",
-    "seed": "seed",
-    "split": "split",
-    "assets": "assets",
-    "episodes_file": "episodes_file",
-    "navigate": "navigate",
-    "spawns": "spawns",
-    "home": "home",
-    "threads": "threads",
-}
-"""Keys of a run's configuration that hold options of the environment, and the fields of `EnvConfig`."""
 
 
 @dataclass(frozen=True)
@@ -147,6 +132,12 @@ def run_evaluation(spec: EvalSpec, sinks: Sequence[Sink] = ()) -> Run:
         with EvaluationFolder.open(path, config, resume=spec.resume) as folder:
             requests = folder.earlier_requests(REQUEST_FACTS)
             return finish(folder, folder.earlier_seconds(), None, alone, requests)
+    if spec.workers or spec.ray:
+        check_sendable(spec.policy, facts.name)
+        with EvaluationFolder.open(
+            path, config, resume=spec.resume, overwrite=spec.overwrite
+        ) as folder:
+            return _conclude(SpreadRollout(spec, folder, sinks), folder, alone)
     env = make_env(spec, env_options(spec, facts))
     policy = None
     try:
@@ -156,142 +147,71 @@ def run_evaluation(spec: EvalSpec, sinks: Sequence[Sink] = ()) -> Run:
             with EvaluationFolder.open(
                 path, config, resume=spec.resume, overwrite=spec.overwrite
             ) as folder:
-                return _run(spec, env, policy, folder, sinks, alone)
+                here = _RolloutHere(spec, env, policy, folder, sinks)
+                return _conclude(here, folder, alone)
     finally:
         close_policy(policy)
         env.close()
 
 
-def _run(
-    spec: EvalSpec,
-    env: RolloutEnv,
-    policy: Policy,
+class _RolloutHere:
+    """The missing episodes of an evaluation, in this process."""
+
+    def __init__(
+        self,
+        spec: EvalSpec,
+        env: RolloutEnv,
+        policy: Policy,
+        folder: EvaluationFolder,
+        sinks: Sequence[Sink],
+    ) -> None:
+        self._spec = spec
+        self._env = env
+        self._policy = policy
+        self._folder = folder
+        self._films = film_sink(spec, folder.path)
+        # StoreSink comes last: an episode with a record is complete in all other sinks, too.
+        self._sinks = [self._films, *sinks, StoreSink(folder)]
+
+    def run(self) -> None:
+        """Roll them out."""
+        missing = self._folder.missing(self._spec.episodes)
+        seed = self._spec.asked.seed
+        rollout(self._env, self._policy, missing, seed, self._sinks)
+
+    @property
+    def film_problem(self) -> str | None:
+        """Why films are missing, or None."""
+        return self._films.problem
+
+    @property
+    def requests(self) -> dict[str, Any]:
+        """See `requests_of`."""
+        return requests_of(self._policy)
+
+
+def _conclude(
+    rolling: _RolloutHere | SpreadRollout,
     folder: EvaluationFolder,
-    sinks: Sequence[Sink],
     alone: AloneRates | None,
 ) -> Run:
+    """Roll out, and write summary and report.
+
+    Raises:
+        EvaluationInterrupted: Ctrl-C was pressed.
+    """
     started = time.perf_counter()
     earlier = folder.earlier_seconds()
-    crew = FilmCrew(*spec.film_px)
-    films = FilmSink(range(spec.films), folder.film_path, _open_film, crew=crew)
     interrupted = False
     try:
-        rollout(
-            env,
-            policy,
-            folder.missing(spec.episodes),
-            spec.asked.seed,
-            # StoreSink comes last: an episode with a record is complete in all other sinks, too.
-            [films, *sinks, StoreSink(folder)],
-        )
+        rolling.run()
     except KeyboardInterrupt:
         interrupted = True
-    run = finish(
-        folder,
-        earlier + time.perf_counter() - started,
-        films.problem,
-        alone,
-        requests_of(policy),
-    )
+    seconds = earlier + time.perf_counter() - started
+    run = finish(folder, seconds, rolling.film_problem, alone, rolling.requests)
     if interrupted:
         raise EvaluationInterrupted(run)
     return run
-
-
-def close_policy(policy: Policy | None) -> None:
-    """Call the policy's method ``close()``, if it has one, to free its resources."""
-    close = getattr(policy, "close", None)
-    if callable(close):
-        close()
-
-
-def requests_of(policy: Policy) -> dict[str, Any]:
-    """What is known of the requests of a policy that is asked elsewhere, as part of a summary; empty for others.
-
-    Returns:
-        "latency_ms": median "p50" and 99th percentile "p99" of their duration [ms], both None if none was answered.
-        "late_steps": control steps without an action of it, if the world did not wait for it.
-        "out_of_range": number of values of its actions that were clipped, by entry of the action.
-    """
-    parts = policy.acting_policies if isinstance(policy, Composed) else (policy,)
-    facts: dict[str, Any] = {}
-    timed = [part.latency_ms for part in parts if isinstance(part, Timed)]
-    if timed:
-        facts["latency_ms"] = _quantiles([value for values in timed for value in values])
-    late = [part.late_steps for part in parts if isinstance(part, Paced)]
-    counts = [steps for steps in late if steps is not None]
-    if counts:
-        facts["late_steps"] = int(np.sum(counts))
-    clipped = [part.out_of_range for part in parts if isinstance(part, Clipped)]
-    if clipped:
-        total: Counter[str] = Counter()
-        for counts in clipped:
-            total.update(counts)
-        facts["out_of_range"] = dict(total)
-    return facts
-
-
-def _quantiles(latency_ms: Sequence[float]) -> dict[str, float | None]:
-    if not latency_ms:
-        return {"p50": None, "p99": None}
-    p50, p99 = np.percentile(latency_ms, [50, 99])
-    return {"p50": round(float(p50), 3), "p99": round(float(p99), 3)}
-
-
-def open_any(policy: PolicyLike) -> OpenedPolicy:
-    """Open a policy before its environment is built.
-
-    Raises:
-        UsageError: there is no such policy, or it lacks a method.
-    """
-    return open_policy(policy) if isinstance(policy, str) else OwnPolicy(policy)
-
-
-def describe_policy(policy: PolicyLike) -> PolicyFacts:
-    """Describe a policy before its environment is built.
-
-    Raises:
-        UsageError: there is no such policy, or it lacks a method.
-    """
-    return open_any(policy).facts
-
-
-def policy_options(spec: EvalSpec) -> PolicyOptions:
-    """What an evaluation tells its policy."""
-    return PolicyOptions(spec.asked.seed, spec.style, spec.instruction)
-
-
-def env_options(spec: EvalSpec, facts: PolicyFacts) -> dict[str, Any]:
-    """Further environment options: those that the policy needs, overridden by those of the user.
-
-    Raises:
-        UsageError: the policy names an option that does not exist, or was trained with another robot than the user's.
-    """
-    check_env_options(facts.env_options)
-    asked = spec.env.get("robot", facts.robot)
-    if facts.robot and asked != facts.robot:
-        raise wrong_value(
-            "robot",
-            asked,
-            repr(facts.robot),
-            f"Leave out --robot, or train a policy with it: mjhab train ALGORITHM --robot {asked}",
-            f"policy {facts.name}",
-        )
-    return {**facts.env_options, **spec.env}
-
-
-def make_env(spec: EvalSpec, options: Mapping[str, Any]) -> SequentialTaskEnv:
-    """Build the environment of an evaluation.
-
-    Args:
-        spec: the evaluation; the environment has at most as many worlds as episodes.
-        options: further ones, which take precedence, see `env_options`.
-    """
-    from mjhab.envs import make
-
-    worlds = min(spec.asked.num_envs, spec.episodes)
-    asked = {**spec.env_defaults, **spec.env, **options}
-    return make(**{**asked, "num_envs": worlds, "autoreset": "disabled"})
 
 
 def resolved_config(spec: EvalSpec, facts: PolicyFacts) -> dict[str, Any]:
@@ -317,12 +237,6 @@ def resolved_config(spec: EvalSpec, facts: PolicyFacts) -> dict[str, Any]:
         # The content and hash of the set determine the episodes, not its path.
         chosen["spawns"] = SpawnSet.read(Path(asked.spawns)).describe()
     return {**chosen, "mjhab": __version__, "mujoco": version("mujoco")}
-
-
-def recorded_value(asked: EnvConfig, name: str) -> Any:
-    """The value of an option of the environment as a run's configuration holds it: None for an empty text."""
-    value = getattr(asked, name)
-    return None if value == "" else value
 
 
 def default_out(spec: EvalSpec, policy: str) -> Path:
@@ -386,26 +300,8 @@ def finish(
     return Run(folder.path, folder.config, tuple(records), summary, film_problem)
 
 
-def check_env_options(options: Mapping[str, Any]) -> None:
-    """Refuse environment options of a policy that do not exist, or that an evaluation sets itself.
-
-    Raises:
-        UsageError: an option is not allowed.
-    """
-    valid = set(env_names(EvalSpec).values()) - set(RECORDED.values())
-    for name in options:
-        if name not in valid:
-            raise unknown_name("environment option of a policy", name, sorted(valid))
-
-
 def _anything_left(path: Path, spec: EvalSpec) -> bool:
     if not spec.resume:
         return True
     done = {record.index for record in read_records(path)}
     return any(index not in done for index in range(spec.episodes))
-
-
-def _open_film(path: Path, fps: int) -> Film:
-    from mjhab.render.film import FilmWriter
-
-    return FilmWriter(path, fps, FILM_QUALITY)

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-import pickle
 import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
@@ -16,18 +15,19 @@ from typing import Any
 
 from mjhab.assets.sources import licence_of
 from mjhab.config.env import EnvConfig
-from mjhab.core.errors import fault, wrong_value
+from mjhab.core.errors import wrong_value
 from mjhab.core.machine import cores
 from mjhab.data.record import generation
 from mjhab.data.record.job import Job, Standing
-from mjhab.data.record.pools import InlinePool, ProcessPool, WorkerPool
+from mjhab.data.record.pools import make_pool
 from mjhab.data.record.workers import ALL, Stage, WorkerSpec
 from mjhab.data.select.until import Until
 from mjhab.data.store.images import ImageFormat
 from mjhab.data.store.places import episodes as recorded_episodes
 from mjhab.data.store.reading import RecordedEpisode
 from mjhab.episodes.starts import valid_targets
-from mjhab.evaluation.evaluate import (
+from mjhab.evaluation.parts import (
+    check_sendable,
     describe_policy,
     env_options,
     make_env,
@@ -160,7 +160,7 @@ def make_job(spec: GenerateSpec) -> Job:
     """
     facts = describe_policy(spec.policy)
     if spec.workers and not spec.ray:
-        _check_sendable(spec.policy, facts.name)
+        check_sendable(spec.policy, facts.name)
     config = resolved_config(spec, facts)
     keep = spec.filter()
     # A worker without an episode would only take memory.
@@ -189,19 +189,6 @@ def make_job(spec: GenerateSpec) -> Job:
         per_target=spec.per_target,
         per_label=spec.per_label,
     )
-
-
-def make_pool(workers: int, ray: str | None = None) -> WorkerPool:
-    """Make a pool of workers: actors of the Ray cluster at ``ray``, processes, or, for 0 workers, this process.
-
-    Raises:
-        UsageError: Ray is not installed, or the cluster cannot be reached.
-    """
-    if ray:
-        from mjhab.data.record.ray_workers import RayPool
-
-        return RayPool(ray)
-    return ProcessPool() if workers else InlinePool()
 
 
 def build_stage(spec: GenerateSpec) -> Stage:
@@ -295,19 +282,3 @@ def resolved_config(spec: GenerateSpec, facts: PolicyFacts) -> dict[str, Any]:
     if further:
         config["env"] = further
     return plain({**config, "policy": facts.name, **facts.described})
-
-
-def _check_sendable(policy: PolicyLike, name: str) -> None:
-    """Refuse a policy that cannot be sent to worker processes.
-
-    Raises:
-        UsageError: the policy cannot be pickled.
-    """
-    try:
-        pickle.dumps(policy)
-    except Exception as error:
-        raise fault(
-            f"policy {name}",
-            f"cannot be sent to worker processes ({error}); give FILE.py:CLASS or a class at the top "
-            "level of a module, or workers=0 to record the episodes in this process.",
-        ) from error

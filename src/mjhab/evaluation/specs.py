@@ -19,7 +19,7 @@ from mjhab.robots.registry import robot_named
 from mjhab.robots.robot import Robot
 from mjhab.rollout.policy import Policy
 from mjhab.scenes.shading import PATH, RASTER
-from mjhab.serving.address import Address, with_options
+from mjhab.serving.address import SCHEMES, Address, with_options
 
 if TYPE_CHECKING:
     from mjhab.data.select.query import Filter
@@ -103,6 +103,11 @@ class EvalSpec(EnvSpec):
         Output(),
     ] = None
     """Folder of the results."""
+    workers: Annotated[int, Bound(most=256)] = 0
+    """Number of processes to start, of --worlds each; 0 takes this process. A script needs
+    ``if __name__ == "__main__":`` for some. Changes the speed, never the records."""
+    ray: Annotated[str | None, Flag(metavar="ADDRESS", shown="default: none")] = None
+    """Evaluate with actors of this Ray cluster ("local" starts one here), see docs/cluster.md."""
     resume: bool = False
     """Continue the run in the folder: only episodes without a record are run."""
     overwrite: bool = False
@@ -132,6 +137,14 @@ class EvalSpec(EnvSpec):
                 "left out without a subtask: in a whole task every subtask has a sentence of its own",
             )
         object.__setattr__(self, "policy", named_policy(self.policy, asked, self.served))
+        served = isinstance(self.policy, str) and self.policy.startswith(SCHEMES)
+        if served and (self.workers or self.ray):
+            raise wrong_value(
+                "workers",
+                self.workers,
+                "0, and no --ray, with a served policy, which answers one process",
+                "Take more --worlds, and --batch where the server takes it.",
+            )
 
 
 NO_IMAGES = "none"

@@ -20,7 +20,7 @@ import numpy as np
 
 from mjhab.core.errors import fault
 from mjhab.core.names import kind_of
-from mjhab.evaluation.evaluate import close_policy
+from mjhab.evaluation.parts import close_policy
 from mjhab.evaluation.resolve import (
     EXPERT,
     OpenedPolicy,

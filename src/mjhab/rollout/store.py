@@ -104,7 +104,12 @@ class EvaluationFolder(RunFolder):
 
     def film_path(self, index: int) -> Path:
         """Where the film of an episode belongs."""
-        return self.path / FILMS / f"episode_{index:05d}.mp4"
+        return film_path(self.path, index)
+
+
+def film_path(folder: Path, index: int) -> Path:
+    """Where the film of an episode belongs in the folder of an evaluation."""
+    return folder / FILMS / f"episode_{index:05d}.mp4"
 
 
 class StoreSink(Sink[RolloutEnv]):

@@ -12,12 +12,13 @@ from typing import Any, cast
 from mjhab.data.record.job import Job
 from mjhab.data.record.messages import (
     EpisodeDone,
+    EpisodeEvaluated,
     Message,
     Request,
     WorkerExited,
     failure,
 )
-from mjhab.data.record.workers import Stage, Worker, WorkerSpec
+from mjhab.data.record.workers import Stage, Work, WorkerSpec, WorkSpec
 from mjhab.data.store.places import episodes
 from mjhab.rollout.policy import RandomPolicy
 from tests.data.fake_world import FakeEnv
@@ -64,13 +65,13 @@ class InlinePool:
         self.random = random.Random(seed)
         self.deaths = deaths
         self.died = 0
-        self.workers: dict[int, Worker] = {}
+        self.workers: dict[int, Work] = {}
         self.said: dict[int, deque[Message]] = {}
         self.stopped = False
 
-    def start(self, number: int, spec: WorkerSpec, folder: Path) -> None:
+    def start(self, number: int, spec: WorkSpec, folder: Path) -> None:
         try:
-            self.workers[number] = Worker(spec, folder)
+            self.workers[number] = spec.start(folder)
             self.said[number] = deque([self.workers[number].ready])
         except Exception as error:
             self.said[number] = deque([failure(error)])
@@ -79,7 +80,10 @@ class InlinePool:
         said = self.said[number]
 
         def tell(message: Message) -> None:
-            if isinstance(message, EpisodeDone) and self.random.random() < self.deaths:
+            if (
+                isinstance(message, EpisodeDone | EpisodeEvaluated)
+                and self.random.random() < self.deaths
+            ):
                 raise Killed
             said.append(message)
 

@@ -12,7 +12,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import mjhab.envs as envs
-from mjhab.evaluation.evaluate import close_policy, requests_of
+from mjhab.evaluation.parts import close_policy, requests_of
 from mjhab.evaluation.resolve import PolicyOptions, inspect_policy, resolve_policy
 from mjhab.evaluation.served.action_spaces import space_named
 from mjhab.evaluation.served.twin import (

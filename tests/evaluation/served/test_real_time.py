@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mjhab.evaluation.evaluate import close_policy, requests_of
+from mjhab.evaluation.parts import close_policy, requests_of
 from mjhab.evaluation.resolve import PolicyOptions, inspect_policy, resolve_policy
 from mjhab.evaluation.served.real_time import Pace
 from mjhab.evaluation.served.twin import TwinResponder

@@ -36,9 +36,9 @@ from mjhab.data.record.messages import (
     WorkerFailed,
     WorkerReady,
 )
-from mjhab.data.record.pools import WorkerPool
+from mjhab.data.record.pools import PATIENCE, WorkerPool
 from mjhab.data.record.quotas import Outcome, Quotas
-from mjhab.data.record.workers import outcome_of
+from mjhab.data.record.workers import MOST_DEATHS, outcome_of
 from mjhab.data.store.episode_data import RunInfo, last_label
 from mjhab.data.store.episode_files import (
     EPISODE_FOLDER,
@@ -50,13 +50,6 @@ from mjhab.data.store.places import entries
 from mjhab.data.store.reading import open_shard
 from mjhab.data.store.storage import StorageError
 from mjhab.rollout.records import skip_counts
-
-_PATIENCE = 0.2
-"""Longest time to wait for messages before checking whether to stop [s]."""
-
-
-_MOST_DEATHS = 3
-"""Number of deaths of a worker, without a finished episode in between, after which generation fails."""
 
 
 def generate(
@@ -187,7 +180,7 @@ class _Run:
         for number, member in self.members.items():
             if member.ready and not member.busy:
                 self._assign(number, member)
-        found = self.pool.messages(_PATIENCE)
+        found = self.pool.messages(PATIENCE)
         for number, message in found:
             self._hear(number, message)
         if found:
@@ -230,6 +223,7 @@ class _Run:
         member = self.members[number]
         match message:
             case WorkerReady(run, targets):
+                assert run is not None, "a worker that records tells its run"
                 if self.configs - {run.config_id}:
                     raise fault(
                         self.job.out,
@@ -257,6 +251,8 @@ class _Run:
                 )
             case WorkerExited():
                 self._bury(number, member)
+            case _:
+                raise AssertionError(f"{message} is none of a generation")
 
     def _take(
         self, member: _Member, outcome: Outcome, stored: bool, error: str = ""
@@ -308,9 +304,9 @@ class _Run:
                 self.promised.add(index)
         for index in lost:
             heapq.heappush(self.again, index)
-        if member.deaths + 1 >= _MOST_DEATHS:
+        if member.deaths + 1 >= MOST_DEATHS:
             raise MjhabError(
-                f"worker {number} died {_MOST_DEATHS} times without finishing an episode (its episodes: "
+                f"worker {number} died {MOST_DEATHS} times without finishing an episode (its episodes: "
                 f"{sorted(lost)}). Check that there is enough memory. Every episode finished before is safe."
             )
         self._start(number, member.deaths + 1)

@@ -10,6 +10,7 @@ from mjhab.core.errors import UsageError
 from mjhab.data.record.quotas import GuaranteedTargets, Outcome
 from mjhab.data.store.episode_data import RunInfo
 from mjhab.data.store.storage import StorageError
+from mjhab.rollout.records import EpisodeRecord
 
 
 @dataclass(frozen=True)
@@ -28,10 +29,10 @@ class Request:
 
 @dataclass(frozen=True)
 class WorkerReady:
-    """A worker has started. run: description of its episodes' source. targets: see `Stage`."""
+    """A worker has started. run: description of its episodes' source, if it records. targets: see `Stage`."""
 
-    run: RunInfo
-    targets: tuple[str, ...]
+    run: RunInfo | None = None
+    targets: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -54,6 +55,14 @@ class EpisodeStored:
 
 
 @dataclass(frozen=True)
+class EpisodeEvaluated:
+    """An episode is finished, and nothing but its record is kept. film_problem: why films are missing, or None."""
+
+    record: EpisodeRecord
+    film_problem: str | None
+
+
+@dataclass(frozen=True)
 class RequestDone:
     """A request is finished."""
 
@@ -72,7 +81,13 @@ class WorkerExited:
 
 
 Message = (
-    WorkerReady | EpisodeDone | EpisodeStored | RequestDone | WorkerFailed | WorkerExited
+    WorkerReady
+    | EpisodeDone
+    | EpisodeStored
+    | EpisodeEvaluated
+    | RequestDone
+    | WorkerFailed
+    | WorkerExited
 )
 
 

@@ -10,8 +10,10 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from mjhab.data.record.messages import Message, Request, WorkerExited, failure
-from mjhab.data.record.workers import Stopped, Worker, WorkerSpec
+from mjhab.data.record.workers import Stopped, Work, WorkSpec
 
+PATIENCE = 0.2
+"""Longest time to wait for messages before checking whether to stop [s]."""
 _LONGEST_STOP = 15.0
 """Time after which a process that does not stop, e.g. during a long reset, is killed [s]."""
 
@@ -19,7 +21,7 @@ _LONGEST_STOP = 15.0
 class WorkerPool(Protocol):
     """A group of workers, addressed by number. A number may be started again after its worker has ended."""
 
-    def start(self, number: int, spec: WorkerSpec, folder: Path) -> None:
+    def start(self, number: int, spec: WorkSpec, folder: Path) -> None:
         """Start a worker, which writes episode files to ``folder``; it answers with WorkerReady or WorkerFailed."""
         ...
 
@@ -43,7 +45,7 @@ class ProcessPool:
         self._context = multiprocessing.get_context("spawn")
         self._members: dict[int, tuple[Any, Connection]] = {}
 
-    def start(self, number: int, spec: WorkerSpec, folder: Path) -> None:
+    def start(self, number: int, spec: WorkSpec, folder: Path) -> None:
         """See `WorkerPool`."""
         ours, theirs = self._context.Pipe()
         process = self._context.Process(
@@ -94,12 +96,12 @@ class InlinePool:
     """A single worker in this process; no process is started, and its stage may be reused for the next job."""
 
     def __init__(self) -> None:
-        self._workers: dict[int, Worker] = {}
+        self._workers: dict[int, Work] = {}
         self._said: list[tuple[int, Message]] = []
 
-    def start(self, number: int, spec: WorkerSpec, folder: Path) -> None:
+    def start(self, number: int, spec: WorkSpec, folder: Path) -> None:
         """See `WorkerPool`."""
-        worker = Worker(spec, folder)
+        worker = spec.start(folder)
         self._workers[number] = worker
         self._said.append((number, worker.ready))
 
@@ -125,7 +127,7 @@ class InlinePool:
         self._workers.clear()
 
 
-def _serve(pipe: Connection, spec: WorkerSpec, folder: Path) -> None:
+def _serve(pipe: Connection, spec: WorkSpec, folder: Path) -> None:
     """Main function of a worker process: executes requests from the pipe until it is closed."""
     # Ctrl-C reaches all processes of the group; only the coordinator reacts to it.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -138,7 +140,7 @@ def _serve(pipe: Connection, spec: WorkerSpec, folder: Path) -> None:
             raise Stopped from None
 
     try:
-        worker = Worker(spec, folder)
+        worker = spec.start(folder)
         tell(worker.ready)
         while (request := _next(pipe)) is not None:
             worker.run(request, tell, pipe.poll)
@@ -157,3 +159,16 @@ def _next(pipe: Connection) -> Request | None:
         return pipe.recv()
     except (EOFError, OSError):
         return None
+
+
+def make_pool(workers: int, ray: str | None = None) -> WorkerPool:
+    """Make a pool of workers: actors of the Ray cluster at ``ray``, processes, or, for 0 workers, this process.
+
+    Raises:
+        UsageError: Ray is not installed, or the cluster cannot be reached.
+    """
+    if ray:
+        from mjhab.data.record.ray_workers import RayPool
+
+        return RayPool(ray)
+    return ProcessPool() if workers else InlinePool()

@@ -4,15 +4,22 @@ from __future__ import annotations
 
 import contextlib
 import importlib
+import platform
 import socket
 import threading
 import time
+import uuid
+from collections.abc import Mapping
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+from mjhab.core.arithmetic.digest import arithmetic_digest
 from mjhab.core.errors import UsageError
+from mjhab.core.files.code_digest import code_digest
 from mjhab.core.libraries import missing_library
 from mjhab.core.machine import install_extra
+from mjhab.core.version import __version__
 from mjhab.data.record.messages import (
     Message,
     Request,
@@ -20,12 +27,48 @@ from mjhab.data.record.messages import (
     WorkerFailed,
     failure,
 )
-from mjhab.data.record.workers import Stopped, Worker, WorkerSpec
+from mjhab.data.record.workers import Stopped, Work, WorkSpec
 
 LOCAL = "local"
+FOLDER = "folder"
+_SHOWN = 12
+"""Digits of a hash that are compared and shown."""
 _LONGEST_STOP = 15.0
 _LONGEST_CALL = 10.0
 """Time until an actor that does not stop is killed, and time limit for connecting to an address [s]."""
+
+
+def node_identity() -> dict[str, str]:
+    """What must be equal on all nodes: versions, code, and the last bits of arithmetic, see `arithmetic_digest`."""
+    return {
+        "mjhab": __version__,
+        "mujoco": version("mujoco"),
+        "code": code_digest("").hex()[:_SHOWN],
+        "arithmetic": arithmetic_digest().hex()[:_SHOWN],
+    }
+
+
+def check_node(theirs: Mapping[str, str], folder: Path) -> None:
+    """Refuse a node that would compute other numbers, or write where nobody looks.
+
+    Args:
+        theirs: what `_Actor.identity` says. folder: of the results.
+
+    Raises:
+        UsageError: names what differs, on both sides.
+    """
+    for name, ours in node_identity().items():
+        if theirs[name] != ours:
+            raise UsageError(
+                f"node {theirs['node']} of the Ray cluster has {name} {theirs[name]}, this machine {ours}: episodes "
+                "would depend on who made them. Install the same mjhab and libraries on all nodes, on processors of "
+                "one kind."
+            )
+    if theirs[FOLDER] != str(True):
+        raise UsageError(
+            f"node {theirs['node']} of the Ray cluster does not see {folder}: give an --out in a folder that all nodes "
+            "share."
+        )
 
 
 class _Actor:
@@ -33,12 +76,16 @@ class _Actor:
 
     def __init__(self) -> None:
         self._stop = threading.Event()
-        self._worker: Worker | None = None
+        self._worker: Work | None = None
 
-    def begin(self, spec: WorkerSpec, folder: Path) -> list[Message]:
+    def identity(self, mark: Path) -> dict[str, str]:
+        """What runs on this node, see `node_identity`, and whether it sees the file ``mark``."""
+        return {**node_identity(), "node": platform.node(), FOLDER: str(mark.is_file())}
+
+    def begin(self, spec: WorkSpec, folder: Path) -> list[Message]:
         """Make the worker."""
         try:
-            self._worker = Worker(spec, folder)
+            self._worker = spec.start(folder)
             return [self._worker.ready]
         except Exception as error:
             return [failure(error)]
@@ -91,12 +138,20 @@ class RayPool:
         self._class = ray.remote(num_cpus=1, max_concurrency=2, max_restarts=0)(_Actor)
         self._actors: dict[int, Any] = {}
         self._calls: dict[Any, int] = {}
+        self._beginning: dict[int, tuple[WorkSpec, Path]] = {}
+        """Work of actors whose node has not told its identity yet, and the file that it should see."""
 
-    def start(self, number: int, spec: WorkerSpec, folder: Path) -> None:
+    def start(self, number: int, spec: WorkSpec, folder: Path) -> None:
         """See `WorkerPool`."""
-        self._actors[number] = self._class.remote()
         # Workers may have another current directory.
-        self._calls[self._actors[number].begin.remote(spec, folder.resolve())] = number
+        folder = folder.resolve()
+        folder.mkdir(parents=True, exist_ok=True)
+        mark = folder / f".{uuid.uuid4().hex}"
+        mark.touch()
+        self._actors[number] = self._class.remote()
+        self._beginning[number] = (spec, mark)
+        # Before anything else is sent: another version might not be able to read it.
+        self._calls[self._actors[number].identity.remote(mark)] = number
 
     def send(self, number: int, request: Request) -> None:
         """See `WorkerPool`."""
@@ -109,7 +164,10 @@ class RayPool:
         for call in ready:
             number = self._calls.pop(call)
             try:
-                found += [(number, message) for message in self._ray.get(call)]
+                said = self._ray.get(call)
+                if number in self._beginning:
+                    said = self._greet(number, said)
+                found += [(number, message) for message in said]
             except self._ray.exceptions.RayActorError:
                 # The process may still run on a node that cannot be reached.
                 with contextlib.suppress(self._ray.exceptions.RayError):
@@ -118,6 +176,17 @@ class RayPool:
             except self._ray.exceptions.RayError as error:
                 found.append((number, WorkerFailed("error", str(error))))
         return found
+
+    def _greet(self, number: int, theirs: Mapping[str, str]) -> list[Message]:
+        """Let a worker begin whose node fits; a message if it does not."""
+        spec, mark = self._beginning.pop(number)
+        mark.unlink(missing_ok=True)
+        try:
+            check_node(theirs, mark.parent)
+        except UsageError as error:
+            return [failure(error)]
+        self._calls[self._actors[number].begin.remote(spec, mark.parent)] = number
+        return []
 
     def stop(self) -> None:
         """See `WorkerPool`. Also closes the connection to the cluster."""
@@ -133,6 +202,8 @@ class RayPool:
                 del self._calls[call]
         for actor in self._actors.values():
             self._ray.kill(actor)
+        for _, mark in self._beginning.values():
+            mark.unlink(missing_ok=True)
         self._ray.shutdown()
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 from mjhab.data.record.messages import (
     EpisodeDone,
@@ -30,6 +30,8 @@ from mjhab.rollout.records import EpisodeRecord
 from mjhab.rollout.sinks import Sink, StepView
 from mjhab.tasks.subtasks.registry import SUBTASKS
 
+MOST_DEATHS = 3
+"""Number of deaths of a worker, without a finished episode in between, after which its run fails."""
 ALL = "all"
 """Name of the only target of whole tasks and Navigate in quotas."""
 
@@ -64,12 +66,50 @@ class WorkerSpec:
     images: ImageFormat | None = None
     rest: Path | None = None
 
+    def start(self, folder: Path) -> Worker:
+        """Make a worker that writes episode files to ``folder``."""
+        return Worker(self, folder)
+
 
 class Stopped(Exception):
     """A worker was asked to stop during a request."""
 
 
-class _StopSink(Sink[RolloutEnv]):
+class Work(Protocol):
+    """What a worker does: it is made in its process, by a `WorkSpec`."""
+
+    @property
+    def ready(self) -> WorkerReady:
+        """The message of a started worker."""
+        ...
+
+    def run(
+        self,
+        request: Request,
+        tell: Callable[[Message], object],
+        stopped: Callable[[], bool],
+    ) -> None:
+        """Execute a request; the last message is a RequestDone.
+
+        Raises:
+            Stopped: ``stopped`` returned True.
+        """
+        ...
+
+    def close(self) -> None:
+        """Free what it holds."""
+        ...
+
+
+class WorkSpec(Protocol):
+    """Picklable description of the work of a worker."""
+
+    def start(self, folder: Path) -> Work:
+        """Make it; its files go to ``folder``."""
+        ...
+
+
+class StopSink(Sink[RolloutEnv]):
     """Checks after every control step whether the worker should stop."""
 
     def __init__(self, stopped: Callable[[], bool]) -> None:
@@ -130,7 +170,7 @@ class Worker:
                 self._write(data, self._files)
                 tell(EpisodeStored(index))
         if request.indices:
-            sinks = [self._recorder, _StopSink(stopped)]
+            sinks = [self._recorder, StopSink(stopped)]
             rollout(
                 self._stage.env,
                 self._stage.policy,

@@ -11,7 +11,8 @@ from typing import Any
 
 from mjhab.core.errors import UsageError
 from mjhab.core.seeding import stream
-from mjhab.evaluation.evaluate import EvalSpec, make_env
+from mjhab.evaluation.evaluate import EvalSpec
+from mjhab.evaluation.parts import make_env
 from mjhab.evaluation.resolve import PolicyFacts
 from mjhab.evaluation.score.actions import Replayed, StartKeeper, unpacked_actions
 from mjhab.evaluation.score.capabilities import capabilities_of

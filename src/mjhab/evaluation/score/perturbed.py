@@ -13,7 +13,8 @@ from mjhab.config.perturbing import PERTURBATIONS, axes_text
 from mjhab.core.conventions.images import RGB, TARGET_RGB
 from mjhab.core.files.run_folder import write_text
 from mjhab.envs.observations.modes import DRAWN_OUTPUTS, POINTCLOUD, mode_outputs
-from mjhab.evaluation.evaluate import EvalSpec, describe_policy, run_evaluation
+from mjhab.evaluation.evaluate import EvalSpec, run_evaluation
+from mjhab.evaluation.parts import describe_policy
 from mjhab.evaluation.resolve import full_spec
 from mjhab.evaluation.score.manifest import ScoreRow
 from mjhab.evaluation.score.result import (

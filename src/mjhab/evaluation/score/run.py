@@ -14,7 +14,8 @@ from mjhab.config.profiles import DEFAULT_PROFILE, profile_named
 from mjhab.core.errors import fault, unknown_name, wrong_value
 from mjhab.core.machine import cores, processor
 from mjhab.data.record.provenance import source_commit, versions
-from mjhab.evaluation.evaluate import EvalSpec, describe_policy, run_evaluation
+from mjhab.evaluation.evaluate import EvalSpec, run_evaluation
+from mjhab.evaluation.parts import describe_policy
 from mjhab.evaluation.resolve import NoPolicyError, PolicyFacts, full_spec
 from mjhab.evaluation.score.actions import ActionKeeper, kept_path
 from mjhab.evaluation.score.manifest import (

@@ -7,7 +7,8 @@ import json
 import numpy as np
 
 from mjhab.core.files.cache import write_atomic
-from mjhab.evaluation.evaluate import EvalSpec, make_env
+from mjhab.evaluation.evaluate import EvalSpec
+from mjhab.evaluation.parts import make_env
 from mjhab.evaluation.score.manifest import (
     STARTS_FILE,
     Manifest,

@@ -15,7 +15,9 @@ from mjhab.core.joints import BASE, BASE_YAW
 from mjhab.data.record.targets import active_entries, targets_in_base
 from mjhab.data.store.places import entries
 from mjhab.data.store.reading import open_shard
-from mjhab.evaluation.evaluate import (
+from mjhab.evaluation.filming import scene_of
+from mjhab.evaluation.global_random import SeededGlobals
+from mjhab.evaluation.parts import (
     RECORDED,
     close_policy,
     env_options,
@@ -23,8 +25,6 @@ from mjhab.evaluation.evaluate import (
     open_any,
     policy_options,
 )
-from mjhab.evaluation.filming import scene_of
-from mjhab.evaluation.global_random import SeededGlobals
 from mjhab.evaluation.recorded import recorded_env
 from mjhab.evaluation.shots.spec import ShotSpec, check_step, no_episode
 from mjhab.evaluation.specs import EvalSpec

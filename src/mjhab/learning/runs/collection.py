@@ -15,9 +15,9 @@ from mjhab.config.profiles import DEFAULT_PROFILE, profile_named
 from mjhab.core.errors import UsageError
 from mjhab.data.record.generation import generate
 from mjhab.data.record.job import Job, Standing
+from mjhab.data.record.pools import make_pool
 from mjhab.data.record.workers import ALL, Stage, WorkerSpec
 from mjhab.data.store.images import ImageFormat
-from mjhab.evaluation.generate import make_pool
 from mjhab.evaluation.resolve import EXPERT, open_policy
 from mjhab.learning.demos import SUCCESSES
 from mjhab.learning.runs.budget import wave_seconds

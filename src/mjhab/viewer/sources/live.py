@@ -18,7 +18,8 @@ from mjhab.core.action_notes import HUMAN
 from mjhab.core.errors import MjhabError
 from mjhab.data.store.shard import ShardWriter
 from mjhab.envs.sequential import SequentialTaskEnv
-from mjhab.evaluation.evaluate import EvalSpec, describe_policy, env_options, make_env
+from mjhab.evaluation.evaluate import EvalSpec
+from mjhab.evaluation.parts import describe_policy, env_options, make_env
 from mjhab.experts.policy import ExpertPolicy
 from mjhab.rollout.loop import rollout
 from mjhab.rollout.policy import RolloutEnv

@@ -12,6 +12,7 @@ from typing import Any
 
 import pytest
 import torch
+from torch import Tensor
 from torch.multiprocessing.spawn import ProcessExitedException, spawn
 
 from mjhab.learning.changes import with_changes
@@ -84,6 +85,10 @@ TINY_IMITATING = dataclasses.replace(
         imitation_samples=48,
     ),
 )
+AVERAGE = 0.75
+TINY_AVERAGING = dataclasses.replace(
+    TINY, ppo=PpoConfig(rollout_steps=8, minibatches=2, epochs=1, average=AVERAGE)
+)
 TINY_RLPD = dataclasses.replace(
     TINY,
     algorithm=RLPD,
@@ -127,7 +132,11 @@ def request(config: ReinforcementConfig, **options: Any) -> ReinforcementSpec:
     return ReinforcementSpec.of(**(told | options))
 
 
-@pytest.mark.parametrize("config", [TINY, TINY_IMITATING], ids=["ppo", "imitating"])
+@pytest.mark.parametrize(
+    "config",
+    [TINY, TINY_IMITATING, TINY_AVERAGING],
+    ids=["ppo", "imitating", "averaging"],
+)
 def test_a_killed_run_ends_with_the_weights_of_one_that_was_not(
     config: ReinforcementConfig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -158,6 +167,31 @@ def test_a_killed_run_ends_with_the_weights_of_one_that_was_not(
     assert set(wanted) == set(found)
     for name, value in wanted.items():
         assert torch.equal(value, found[name]), name
+
+
+def test_the_student_is_the_moving_average_of_the_actors(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    seen: list[dict[str, Tensor]] = []
+    update = PpoLearner.update
+
+    def noted(self: PpoLearner, *told: Any) -> dict[str, float]:
+        numbers = update(self, *told)
+        actor = self.agent.actor.state_dict()
+        seen.append({name: value.clone() for name, value in actor.items()})
+        return numbers
+
+    monkeypatch.setattr(PpoLearner, "update", noted)
+    train_in(request(TINY_AVERAGING), tmp_path / "run")
+    student = load_student(tmp_path / "run" / "student.safetensors").state_dict()
+    assert len(seen) == 4
+    for name, value in student.items():
+        wanted = seen[0][name]
+        for newer in seen[1:]:
+            wanted = AVERAGE * wanted + (1.0 - AVERAGE) * newer[name]
+        if "normalizer" not in name:
+            assert torch.allclose(value, wanted, atol=1e-6), name
+    assert not torch.equal(student["head.weight"], seen[-1]["head.weight"])
 
 
 @pytest.mark.parametrize("slow", ["collect_demonstrations", "_imitation_loss"])

@@ -66,6 +66,8 @@ class PpoConfig:
     imitation_batch samples. demonstration_style: of the expert in these episodes, see `Styles.parse`; the actor
     imitates the intended actions. imitation_coefficient: weight of the imitation loss in the PPO updates that follow;
     it decreases linearly to zero over imitation_samples samples.
+    average: decay per update of a moving average of the actor's weights, which is what is evaluated and kept, while the
+    newest weights act and learn on; 0 keeps the newest.
     """
 
     rollout_steps: int = 32
@@ -98,8 +100,12 @@ class PpoConfig:
     imitation_batch: int = 256
     imitation_coefficient: float = 0.0
     imitation_samples: FromZero = 500_000
+    average: float = 0.0
 
     def __post_init__(self) -> None:
+        check(
+            0.0 <= self.average < 1.0, "average", self.average, "at least 0 and below 1"
+        )
         for name in ("rollout_steps", "minibatches", "epochs"):
             check_least(name, getattr(self, name), 1)
         check(0.0 < self.gamma <= 1.0, "gamma", self.gamma, "above 0 and at most 1")

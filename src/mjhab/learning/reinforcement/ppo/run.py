@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import time
-from typing import Any
+from typing import Any, cast
 
 import torch
 from torch import Tensor
+from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
 from mjhab.learning.checkpoint import restoring
 from mjhab.learning.reinforcement.algorithm import AlgorithmRun
@@ -19,6 +20,7 @@ from mjhab.learning.reinforcement.keeping import (
 from mjhab.learning.reinforcement.ppo.agent import Ppo
 from mjhab.learning.reinforcement.ppo.learner import PpoLearner
 from mjhab.learning.reinforcement.session import ReinforcementSession
+from mjhab.learning.students.student import Student
 
 
 class PpoRun(AlgorithmRun):
@@ -34,8 +36,13 @@ class PpoRun(AlgorithmRun):
             session.spec.seed,
             session.start,
         ).to(worlds.device)
-        self.actor = agent.actor
         self.agent = agent
+        decay = agent.config.average
+        self.average = AveragedModel(
+            agent.actor, multi_avg_fn=get_ema_multi_avg_fn(decay), use_buffers=False
+        )
+        averaged = cast("Student", self.average.module)
+        self.actor = averaged if decay else agent.actor
         self.learner = PpoLearner(agent, worlds, self.config, session.seed)
         if session.saved is not None:
             with restoring(session.training_file):
@@ -52,6 +59,8 @@ class PpoRun(AlgorithmRun):
         if session.saved is None and session.start is None:
             session.log.show({"phase": "imitation"})
             self.learner.imitate(self._imitated)
+            # What is evaluated before the first update is what has imitated.
+            self.average.module.load_state_dict(self.agent.actor.state_dict())
 
     def _imitated(self) -> None:
         """Note one update of the imitation, and end it in time for the evaluations."""
@@ -61,6 +70,8 @@ class PpoRun(AlgorithmRun):
     def _restore(self, tensors: Any) -> None:
         learner = self.learner
         self.agent.load_state_dict(part_of("agent", tensors))
+        if self.agent.config.average:
+            self.average.load_state_dict(part_of("average", tensors))
         restore_optimizer(learner.optimizer, part_of("optimizer", tensors))
         learner.statistics.restore(part_of("statistics", tensors))
         learner.privileged.restore(part_of("privileged", tensors))
@@ -69,7 +80,9 @@ class PpoRun(AlgorithmRun):
 
     def tensors(self) -> dict[str, Tensor]:
         learner = self.learner
+        averaged = self.average.state_dict() if self.agent.config.average else {}
         return {
+            **prefixed("average", averaged),
             "learning_rate": torch.tensor(learner.learning_rate, dtype=torch.float64),
             **prefixed("agent", self.agent.state_dict()),
             **prefixed("optimizer", optimizer_tensors(learner.optimizer)),
@@ -89,6 +102,8 @@ class PpoRun(AlgorithmRun):
             acted = time.perf_counter()
             numbers = learner.update(rollout, state.samples / self.config.samples)
             learner.normalize(rollout.seen)
+            if self.agent.config.average:
+                self.average.update_parameters(self.agent.actor)
             state.updates = learner.updates
             state.trained = True
             ended = time.perf_counter()

@@ -36,7 +36,7 @@ def vector() -> Any:
 
 def test_worlds_on_a_device_show_what_those_on_the_host_do(vector: Any) -> None:
     seen, told = vector.reset(seed=0)
-    host = gymnasium.make(
+    host: Any = gymnasium.make(
         "PickSubtaskTrain-v0",
         num_envs=2,
         obs_mode="state_dict",
@@ -55,6 +55,11 @@ def test_worlds_on_a_device_show_what_those_on_the_host_do(vector: Any) -> None:
             assert torch.allclose(
                 values[0].float(), theirs[part][name][0].float(), atol=2e-3
             )
+    ours, there = (each.unwrapped.get_state_dict() for each in (vector, host))
+    for part in ("actors", "articulations"):
+        assert list(ours[part]) == list(there[part])
+        for name, values in ours[part].items():
+            assert torch.allclose(values[0], there[part][name][0], atol=2e-3), name
 
 
 def test_tensors_of_a_device_never_pass_through_numpy(

@@ -11,6 +11,7 @@ import h5py
 import numpy as np
 import pytest
 import torch
+from scipy.spatial.transform import Rotation
 
 import mjhab.compat.mshab  # noqa: F401  (registers the ids)
 from mjhab.compat.mshab.files.plans import TaskPlan
@@ -125,6 +126,50 @@ def test_attributes_that_scripts_read(env: Any) -> None:
     assert "pick up" in base.instructions[0] or base.instructions[0]
     with pytest.raises(AttributeError, match="not 'scene_idxs'"):
         _ = base.agent.scene_idxs
+
+
+def test_states_are_in_the_layout_of_maniskill(env: Any) -> None:
+    env.reset(seed=3)
+    base = env.unwrapped
+    worlds = base.worlds
+    state = worlds.state
+    generator = np.random.default_rng(0)
+    # Nothing moves after a reset.
+    for values in (state.object_vel, state.robot_qd, state.link_qd):
+        values[:] = generator.normal(size=values.shape)
+    told = base.get_state_dict()
+    layout = worlds.layout
+    assert len(told["actors"]) == len(layout.roster)
+    for slot, (name, kind) in enumerate(
+        zip(layout.object_names, layout.objects, strict=True)
+    ):
+        row = told["actors"][name.replace("_:000", "-")]
+        ours, spin = state.object_pose[:, slot], state.object_vel[:, slot]
+        turn = Rotation.from_quat(ours[:, 3:], scalar_first=True)
+        scan = turn * Rotation.from_euler("z", kind.scan_yaw)
+        seen = Rotation.from_quat(row[:, 3:7].double().numpy(), scalar_first=True)
+        assert (scan.inv() * seen).magnitude().max() < 1e-5
+        linear = np.concatenate([ours[:, :3], spin[:, :3]], axis=1)
+        np.testing.assert_allclose(row[:, [0, 1, 2, 7, 8, 9]], linear, atol=1e-5)
+        np.testing.assert_allclose(row[:, 10:], turn.apply(spin[:, 3:]), atol=1e-5)
+    found = told["articulations"]
+    assert set(found) == {"fetch", "fridge-0", "kitchen_counter-0"}
+    assert found["fetch"][1, :13].tolist() == pytest.approx([0, 0, 0.02, 1, *[0] * 9])
+    assert torch.equal(found["fetch"][:, 13:28], base.agent.robot.qpos)
+    assert torch.equal(found["fetch"][:, 28:], base.agent.robot.qvel)
+    for furniture in ("fridge", "kitchen_counter"):
+        at = [i for i, link in enumerate(layout.links) if link.articulation == furniture]
+        signs = [-1 if layout.links[i].link.mirrored else 1 for i in at]
+        joints = [state.link_q[:, at] * signs, state.link_qd[:, at] * signs]
+        row = found[f"{furniture}-0"]
+        np.testing.assert_allclose(row[:, 13:], np.concatenate(joints, 1), atol=1e-6)
+        for world, home in enumerate(worlds.homes):
+            placed = layout.articulation_placement(
+                layout.pack.homes_by_name[home], furniture
+            )
+            root = [*placed.pos, *placed.rotation, *[0] * 6]
+            np.testing.assert_allclose(row[world, :13], root, atol=1e-6)
+    env.reset(seed=3)
 
 
 def test_a_partial_reset_leaves_the_other_worlds(

@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from mjhab.core.arrays import Array, as_like, namespace
 from mjhab.core.conventions.changes import to_scan_axes
 from mjhab.core.names import kind_of
 from mjhab.core.rotations import quat_rotate
@@ -83,15 +84,14 @@ def env_states(
     free = zip(columns["object_q"], columns["object_v"], strict=True)
     for name, (at_q, at_v) in zip(layout["objects"], free, strict=True):
         pose = q[:, at_q : at_q + _POSE]
-        speed = v[:, at_v : at_v + _SPEED].copy()
-        # MuJoCo tells the angular velocity of a free body in its own frame.
-        speed[:, 3:] = quat_rotate(pose[:, 3:], speed[:, 3:])
-        turned = to_scan_axes(pose, float(yaws.get(kind_of(name), 0.0)))
-        found[f"actors/{object_id(name)}"] = np.concatenate([turned, speed], axis=1)
+        yaw = float(yaws.get(kind_of(name), 0.0))
+        state = actor_state(pose, v[:, at_v : at_v + _SPEED], yaw)
+        found[f"actors/{object_id(name)}"] = state
     robot = episode.run.robot
     if robot in roots:
         joints = [q[:, columns["robot_q"]], v[:, columns["robot_v"]]]
-        found[f"articulations/{robot}"] = _with_root(roots[robot], *joints)
+        root = np.array(roots[robot].pose)
+        found[f"articulations/{robot}"] = articulation_state(root, *joints)
     moving = _joints_of(layout["links"], columns)
     for name, joints in moving.items():
         if name in roots:
@@ -99,8 +99,9 @@ def env_states(
             signs = [notes.get(link, JointNote()).sign for link, _, _ in joints]
             at_q = [column for _, column, _ in joints]
             at_v = [column for _, _, column in joints]
-            state = _with_root(roots[name], q[:, at_q] * signs, v[:, at_v] * signs)
-            found[f"articulations/{name}-0"] = state
+            found[f"articulations/{name}-0"] = articulation_state(
+                np.array(roots[name].pose), q[:, at_q] * signs, v[:, at_v] * signs
+            )
     return {name: values.astype(np.float32) for name, values in found.items()}
 
 
@@ -117,10 +118,29 @@ def _joints_of(
     return found
 
 
-def _with_root(root: Root, q: np.ndarray, v: np.ndarray) -> np.ndarray:
-    """State of an articulation whose root stands still."""
-    first = np.concatenate([root.pose, np.zeros(_SPEED)])
-    return np.concatenate([np.tile(first, (len(q), 1)), q, v], axis=1)
+def actor_state(pose: Array, velocity: Array, scan_yaw: Array | float) -> Array:
+    """State (..., 13) of an object as ManiSkill has it.
+
+    Args:
+        pose: (..., 7) world pose in mjhab's axes of the object [m, wxyz].
+        velocity: (..., 6) of its origin in the world [m/s], then angular in the object's own frame [rad/s], as MuJoCo
+            has those of free bodies.
+        scan_yaw: (...) or one number, heading of the scan [rad].
+    """
+    turning = quat_rotate(pose[..., 3:], velocity[..., 3:])
+    parts = [to_scan_axes(pose, scan_yaw), velocity[..., :3], turning]
+    return namespace(pose).concat(parts, axis=-1)
+
+
+def articulation_state(root: Array, q: Array, v: Array) -> Array:
+    """State (rows, 13 + 2 J) of an articulation whose root stands still.
+
+    Args:
+        root: (7,) or (rows, 7) world pose of the root [m, wxyz]. q, v: (rows, J) its joints.
+    """
+    xp = namespace(q)
+    pose = xp.broadcast_to(as_like(root, q), (len(q), _POSE))
+    return xp.concat([pose, xp.zeros_like(pose[:, :_SPEED]), q, v], axis=1)
 
 
 def infos(

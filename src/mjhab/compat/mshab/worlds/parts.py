@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import torch
 
+from mjhab.compat.mshab.files.matching import home_of
 from mjhab.compat.mshab.files.plans import TaskPlan
 from mjhab.compat.mshab.files.subtasks import Subtask
 from mjhab.compat.mshab.worlds.arguments import Arguments
@@ -16,6 +17,7 @@ from mjhab.compat.mshab.worlds.draws import OwnDraw, PlanDraw
 from mjhab.compat.mshab.worlds.observing import as_tensor
 from mjhab.compat.mshab.worlds.own_plans import own_plan
 from mjhab.compat.mshab.worlds.pose import Pose
+from mjhab.compat.mshab.worlds.states import actors, articulations
 from mjhab.compat.mshab.worlds.views import (
     AgentView,
     ArticulationView,
@@ -191,21 +193,18 @@ class SceneParts:
         return self.agent.base_link.pose * rest
 
     def get_state_dict(self) -> dict[str, Any]:
-        """State of all worlds for reading: (W, 13) of every object (pose, velocities), joints of robot and furniture.
+        """State of all worlds for reading, in ManiSkill's layout: see `states.actors` and `states.articulations`.
 
-        It does not hold all that the engine remembers: `mjhab` environments restore ``worlds.get_state(world)``.
+        Beside them MS-HAB's own (W,): indices of plans and homes, pointer, steps left and force. It does not hold all
+        that the engine remembers: `mjhab` environments restore ``worlds.get_state(world)``.
         """
-        state = self.worlds.state
-        poses = single(state.object_pose)
-        speeds = single(state.object_vel)
-        bodies = torch.cat([poses, speeds], dim=2)
-        names = self.worlds.layout.object_names
+        homes = [home_of(plan.build_config_name) for plan in self.task_plans]
         return {
-            "actors": {name: bodies[:, at] for at, name in enumerate(names)},
-            "articulations": {
-                "fetch": torch.cat([self.agent.robot.qpos, self.agent.robot.qvel], 1),
-                "furniture": torch.cat([single(state.link_q), single(state.link_qd)], 1),
-            },
+            "actors": actors(self.worlds),
+            "articulations": articulations(self.worlds, homes),
+            "task_plan_idxs": self.task_plan_idxs.clone(),
+            "build_config_idxs": torch.tensor(self.build_config_idxs, device=self.device),
+            "init_config_idxs": torch.tensor(self.init_config_idxs, device=self.device),
             "subtask_pointer": self.subtask_pointer,
             "robot_cumulative_force": self.robot_cumulative_force,
         }

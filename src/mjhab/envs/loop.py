@@ -138,7 +138,7 @@ class TaskLoop(VectorEnv, ABC):
         """
         config = self.config
         self.layout = self.sim.layout
-        self.sensing = Sensing(
+        self.sensing = self._sensing_class()(
             self.layout,
             self.sim.addresses,
             self.num_envs,
@@ -158,6 +158,9 @@ class TaskLoop(VectorEnv, ABC):
         self.rewarder = Rewarder(
             self.num_envs, rules, self.layout, self.sensing, self._like
         )
+
+    def _sensing_class(self) -> type[Sensing]:
+        return Sensing
 
     def _set_spaces(self, observation: ObservationSpace, **metadata: Any) -> None:
         """Set the attributes of Gymnasium's interface; ``observation``: space of one world, with flat keys."""

@@ -17,6 +17,7 @@ from mjhab.core.errors import wrong_value
 from mjhab.core.joints import BASE_XY
 from mjhab.core.typed.checks import check
 from mjhab.core.typed.options import taken
+from mjhab.envs.host_sensing import HostSensing
 from mjhab.envs.loop import TaskLoop
 from mjhab.envs.parts.memory import check_memory
 from mjhab.envs.parts.nav_distance import NavDistance
@@ -24,6 +25,7 @@ from mjhab.envs.parts.observing import Observer
 from mjhab.envs.parts.perturbing import Perturber
 from mjhab.envs.parts.plan_tables import PlanTables
 from mjhab.envs.parts.reporting import Reporter
+from mjhab.envs.parts.sensing import Sensing
 from mjhab.envs.parts.snapshots import Restorable, restore, snapshot
 from mjhab.envs.parts.teleport import Teleports
 from mjhab.envs.parts.tracking import StepNotes, Tracker
@@ -34,6 +36,8 @@ from mjhab.episodes.source import EpisodeSource, open_setting
 from mjhab.episodes.starts import Start
 from mjhab.robots.controllers import check_actions
 from mjhab.sim.mujoco.cpu import CpuSimulator
+from mjhab.tasks.host_checks import HostBodyCheck
+from mjhab.tasks.measure import measure
 from mjhab.tasks.progress import Progress, StepOutcome
 from mjhab.tasks.signals import Signals, WorldState
 
@@ -66,6 +70,7 @@ class SequentialTaskEnv(TaskLoop, VectorEnv):
         setting = open_setting(config)
         drives = self.controller.drives
         self.sim = CpuSimulator(setting.layout, config.num_envs, config.threads, drives)
+        self._check_body = HostBodyCheck(self.task_config)
         self.source = EpisodeSource(self.sim, config, self.task_config, setting.file)
         self.starts = self.source.starts
         self.nav = NavDistance(setting.layout, self.num_envs, self.starts.sampler.map)
@@ -227,8 +232,15 @@ class SequentialTaskEnv(TaskLoop, VectorEnv):
             self.sim.mend(worlds, [self.homes[w] for w in worlds], before[worlds])
         return broken.copy()
 
+    def _sensing_class(self) -> type[Sensing]:
+        return HostSensing
+
     def _measure(self, world: WorldState, progress: Progress) -> Signals:
-        signals = super()._measure(world, progress)
+        plan = self.tables.arrays
+        active = self.focus.active
+        signals = measure(
+            world, plan, progress, self.task_config, active, self._check_body
+        )
         waiting = self.teleports.waiting
         if not may_hold(waiting):
             return signals

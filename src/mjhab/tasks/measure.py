@@ -7,7 +7,8 @@ paper App. A.2). The functions are pure, run on numpy and torch, and keep the dt
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import lru_cache
 
 from mjhab.core.arrays import (
@@ -163,15 +164,24 @@ def _goals(
     return pick_column(there, active.index), placed_ok
 
 
-def _rest(state: WorldState, cos: Array, sin: Array, config: TaskConfig) -> Array:
-    """(W,) bool: the tcp is at its rest point. ``cos``, ``sin`` (W,): of the base's heading."""
+def _rest(state: WorldState, config: TaskConfig) -> Array:
+    """(W,) bool: the tcp is at its rest point."""
     base = state.base_pose
+    cos = namespace(base).cos(base[:, BASE_YAW])
+    sin = namespace(base).sin(base[:, BASE_YAW])
     tcp = state.tcp_pos
     rx, ry, rz = config.ee_rest_pos
     dx = tcp[:, 0] - (base[:, 0] + cos * rx - sin * ry)
     dy = tcp[:, 1] - (base[:, 1] + sin * rx + cos * ry)
     dz = tcp[:, 2] - (config.base_height + rz)
     return namespace(dx).sqrt(dx * dx + dy * dy + dz * dz) <= config.ee_rest_tol
+
+
+def speed_limits(config: TaskConfig) -> tuple[float, ...]:
+    """Largest speeds [m/s or rad/s] at which base, then torso, head and arm stand still."""
+    posture = config.joints.posture
+    moved = posture.stop - posture.start
+    return (config.static_base_speed,) * BASE.stop + (config.static_speed,) * moved
 
 
 def _stillness(
@@ -182,13 +192,8 @@ def _stillness(
     ``tolerance`` (W, P): largest distance of the posture's joints from rest [m or rad].
     """
     xp = namespace(tolerance)
-    posture = config.joints.posture
-    count = posture.stop - posture.start
     near_rest = xp.abs(off_rest(state.robot_q, config)) <= tolerance
-    limits = constant(
-        (config.static_base_speed,) * BASE.stop + (config.static_speed,) * count,
-        state.robot_qd,
-    )
+    limits = constant(speed_limits(config), state.robot_qd)
     speed = state.robot_qd[:, config.joints.body]
     if config.stillness == "absolute":
         speed = xp.abs(speed)
@@ -197,7 +202,7 @@ def _stillness(
 
 
 def _arrival(
-    state: WorldState, active: Active, cos: Array, sin: Array, config: TaskConfig
+    state: WorldState, active: Active, config: TaskConfig
 ) -> tuple[Array, Array]:
     """Whether the base is near the navigation goal (and inside its box), and whether it faces it: two (W,) bool.
 
@@ -211,6 +216,8 @@ def _arrival(
     to_goal = active.goal_pos[:, :2] - position
     dx = to_goal[:, 0]
     dy = to_goal[:, 1]
+    cos = xp.cos(state.base_pose[:, BASE_YAW])
+    sin = xp.sin(state.base_pose[:, BASE_YAW])
     bearing = xp.atan2(cos * dy - sin * dx, cos * dx + sin * dy)
     # NaN stands for "no box": comparisons with NaN are False, so that no position is outside.
     outside = (position < active.box[:, ::2]) | (position > active.box[:, 1::2])
@@ -240,12 +247,36 @@ def _joint(
     )
 
 
+@dataclass(frozen=True)
+class BodyChecks:
+    """What `check_body` finds, (W,) bool unless said; the names are those of `Signals`."""
+
+    is_grasped: Array
+    contact: Array
+    target_force: Array
+    """(W,) float [N]."""
+    ee_rest: Array
+    robot_rest: Array
+    is_static: Array
+
+
+BodyCheck = Callable[[WorldState, Active, TaskConfig], BodyChecks]
+
+
+def check_body(state: WorldState, active: Active, config: TaskConfig) -> BodyChecks:
+    """The checks of hand and joints, which every kind of subtask has. `HostBodyCheck` is its compiled twin."""
+    grip = _grip(state, active.navigate, config)
+    rest = _rest(state, config)
+    return BodyChecks(*grip, rest, *_stillness(state, active.rest_tol, config))
+
+
 def measure(
     state: WorldState,
     plan: PlanArrays,
     progress: MeasuredProgress,
     config: TaskConfig,
     active: Active | None = None,
+    check: BodyCheck | None = None,
 ) -> Signals:
     """Measure the active subtask of every world.
 
@@ -255,27 +286,25 @@ def measure(
         progress: active subtasks and their accumulated force, with that of this step.
         config: thresholds.
         active: `active_entries` at ``progress.pointer``; looked up if not given.
+        check: `check_body`, or what gives the same.
 
     Returns:
         Signals for the subtask at ``progress.pointer``; a world whose plan is finished has kind -1 and no success.
     """
     if active is None:
         active = active_entries(plan, progress.pointer, config)
-    xp = namespace(state.base_pose)
-    yaw = state.base_pose[:, BASE_YAW]
     cumulative = progress.cumulative_force
-    cos = xp.cos(yaw)
-    sin = xp.sin(yaw)
-    is_grasped, contact, target_force = _grip(state, active.navigate, config)
+    body = (check or check_body)(state, active, config)
+    is_grasped = body.is_grasped
+    contact = body.contact
     there, placed_ok = _goals(state, plan, active, config)
-    robot_rest, is_static = _stillness(state, active.rest_tol, config)
     opened, closed, slightly_opened, slightly_closed = _joint(state, active, config)
-    near, oriented = _arrival(state, active, cos, sin, config)
+    near, oriented = _arrival(state, active, config)
     found = {
         "is_grasped": is_grasped,
-        "ee_rest": _rest(state, cos, sin, config),
-        "robot_rest": robot_rest,
-        "is_static": is_static,
+        "ee_rest": body.ee_rest,
+        "robot_rest": body.robot_rest,
+        "is_static": body.is_static,
         "force_ok": cumulative <= active.force_limit,
         "contact": contact,
         "touch": state.target_contact | contact,
@@ -294,7 +323,7 @@ def measure(
     return Signals(
         **dict(zip(SIGNAL_CHECKS, checks[: len(SIGNAL_CHECKS)], strict=True)),
         robot_force=state.robot_force,
-        target_force=target_force,
+        target_force=body.target_force,
         cumulative_force=cumulative,
         success=(checks | active.optional).all(0),
         placed_ok=placed_ok,

@@ -68,5 +68,10 @@ def nearest_turn(
     """
     if not any(endless):
         return angles
-    per_turn = constant(tuple(1.0 / _TURN if free else 0.0 for free in endless), angles)
+    per_turn = constant(turns(endless), angles)
     return angles - _TURN * namespace(angles).round((angles - reference) * per_turn)
+
+
+def turns(endless: tuple[bool, ...]) -> tuple[float, ...]:
+    """Turns per radian of joints without limits, 0 for others."""
+    return tuple(1.0 / _TURN if free else 0.0 for free in endless)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from mjhab.core.arrays import Array, as_like, cast, count, may_hold, namespace, zeros
@@ -20,6 +22,25 @@ from mjhab.tasks.signals import Signals, WorldState
 NEARLY_CLOSED = 0.02
 """Resolution of the opening in `Sensing.link_state`, as a fraction of the range."""
 _OWN = Conventions()
+
+
+@dataclass(frozen=True, eq=False)
+class Felt:
+    """What the hands of W worlds feel, world frame.
+
+    Attributes:
+        force: (W, 2, 2, 3) force [N] of the target, and of the carried object, on the [l, r] finger; 0 without one.
+        target_contact: (W,) bool, some robot link touches the target.
+        ee_contact: (W,) bool, a finger or the hand touches it.
+        tcp_pos: (W, 3) middle of the two fingers [m].
+        finger_dir: (W, 2, 3) unit directions in which the fingers open.
+    """
+
+    force: Array
+    target_contact: Array
+    ee_contact: Array
+    tcp_pos: Array
+    finger_dir: Array
 
 
 class Sensing:
@@ -78,32 +99,41 @@ class Sensing:
             focus: the active subtasks.
             joint_start: (W,) joint position of the active link when its subtask began [m or rad].
         """
-        rows = self._rows
-        column = focus.columns
-        force = (
-            state.finger_force[rows[:, None], :, column]
-            * focus.has_columns[..., None, None]
-        )
         joint_min, joint_max = self.joint_range(focus)
+        felt = self.felt(state, focus)
         return WorldState(
             base_pose=state.robot_q[:, BASE],
             robot_q=state.robot_q,
             robot_qd=state.robot_qd,
-            tcp_pos=(state.body_pos[:, self._left] + state.body_pos[:, self._right]) / 2,
-            finger_force=force[:, 0],
-            finger_dir=namespace(force).einsum(
-                "wfij,fj->wfi", state.body_mat[:, self._fingers], self._opening
-            ),
+            tcp_pos=felt.tcp_pos,
+            finger_force=felt.force[:, 0],
+            finger_dir=felt.finger_dir,
             robot_force=state.link_force.sum(axis=1),
             fingers_force=state.finger_net.sum(axis=1),
-            target_contact=state.touch[rows, column[:, 0]] & focus.has_columns[:, 0],
-            ee_contact=state.ee_contact[rows, column[:, 0]] & focus.has_columns[:, 0],
+            target_contact=felt.target_contact,
+            ee_contact=felt.ee_contact,
             plan_obj_pos=self.plan_obj_pos(state, tables, focus),
             joint_q=self.joint_now(state, focus),
             joint_min=joint_min,
             joint_max=joint_max,
             joint_start=joint_start,
-            held_force=force[:, 1],
+            held_force=felt.force[:, 1],
+        )
+
+    def felt(self, state: SimState, focus: Focus) -> Felt:
+        """What the hand feels of the target and of the object that a Navigate carries, and where it is."""
+        rows = self._rows
+        column = focus.columns
+        has = focus.has_columns
+        force = state.finger_force[rows[:, None], :, column] * has[..., None, None]
+        return Felt(
+            force,
+            state.touch[rows, column[:, 0]] & has[:, 0],
+            state.ee_contact[rows, column[:, 0]] & has[:, 0],
+            (state.body_pos[:, self._left] + state.body_pos[:, self._right]) / 2,
+            namespace(force).einsum(
+                "wfij,fj->wfi", state.body_mat[:, self._fingers], self._opening
+            ),
         )
 
     def plan_obj_pos(self, state: SimState, tables: Tables, focus: Focus) -> Array:
@@ -180,9 +210,7 @@ class Sensing:
         poses[0, :, 3:] = state.body_quat[:, self._tcp]
         poses[1] = state.object_pose[rows, focus.obj]
         poses[2, :, :3] = goal
-        local = (
-            pose_in_base(state.robot_q[:, BASE], self._base_height, poses) * focus.shown
-        )
+        local = self.shown_in_base(state.robot_q[:, BASE], poses, focus.shown)
         grasped = signals.is_grasped & (focus.active.kind >= 0)
         robot_q = state.robot_q
         if conventions.joint_angles == WRAPPED:
@@ -195,3 +223,7 @@ class Sensing:
         return ObsContext(
             robot_q, state.robot_qd, local[0], obj, local[2, :, :3], grasped
         )
+
+    def shown_in_base(self, base: Array, poses: Array, shown: Array) -> Array:
+        """World poses (N, W, 7) in the frames of the bases (W, 3) that ``shown`` (N, W, 1) bool names, else zeros."""
+        return pose_in_base(base, self._base_height, poses) * shown

@@ -12,21 +12,23 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from numba.core.types import Array, boolean, float64, int64, void
+from numba.core.types import Array, boolean, float64, int32, int64, void
 
 from mjhab.core.kernels.jit import Decorator, compiler
 
 _TURN = 2 * np.pi
-_floats, _flags, _whole = (
+_floats, _flags, _whole, _counts = (
     partial(Array, dtype, layout="A", readonly=True)
-    for dtype in (float64, boolean, int64)
+    for dtype in (float64, boolean, int64, int32)
 )
 """Types of arrays that are read, by their number of axes."""
 
 
-def _kernel(read: Sequence[Any], written: Sequence[Any]) -> Decorator:
+def _kernel(
+    read: Sequence[Any], written: Sequence[Any], returned: Any = void
+) -> Decorator:
     """A kernel of one signature: arrays of any memory layout take the same machine code."""
-    signature = void(*read, *written)
+    signature = returned(*read, *written)
     return compiler("core.kernels.control_step", signature_or_function=signature)
 
 
@@ -245,3 +247,34 @@ def poses_in_base(
                     break
             for k in range(3, 7):
                 own[k] = own[k] * sign * scale
+
+
+@_kernel((_floats(2), int64, float64, _counts(2), _counts(2), _floats(2)), (), boolean)
+def is_sound(
+    sensors: np.ndarray,
+    depth: int,
+    least: float,
+    warnings: np.ndarray,
+    warned: np.ndarray,
+    qpos: np.ndarray,
+) -> bool:
+    """Whether a step has made nothing that `CpuSimulator` must look into.
+
+    Args:
+        sensors: (W, D) sensor data; column ``depth`` is the least distance of the robot's contacts [m].
+        depth: see ``sensors``.
+        least: smallest depth that is sound [m].
+        warnings: (W, N) numbers of the engine's warnings, ``warned`` of which are known.
+        warned: (W, N).
+        qpos: (W, Q) numbers that must be finite.
+    """
+    for w in range(len(qpos)):
+        if sensors[w, depth] < least:
+            return False
+        for kind in range(warned.shape[1]):
+            if warnings[w, kind] > warned[w, kind]:
+                return False
+        for k in range(qpos.shape[1]):
+            if not np.isfinite(qpos[w, k]):
+                return False
+    return True

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import math
 from collections.abc import Callable, Mapping, Sequence
 
 import mujoco
@@ -11,6 +10,7 @@ import numpy as np
 from mujoco.batch import Batch
 
 from mjhab.core.arrays import may_hold, norm3
+from mjhab.core.kernels.control_step import is_sound
 from mjhab.core.machine import cores
 from mjhab.core.timing import SUBSTEPS
 from mjhab.core.typed.checks import check, check_least
@@ -113,7 +113,7 @@ class CpuSimulator:
         self._broken = np.zeros(num_worlds, bool)
         self._warnings = self.batch.warning[:, :, 1]
         """(W, kinds) live number of warnings of each kind since the world's reset."""
-        self._warned = np.zeros(self._warnings.shape, np.int64)
+        self._warned = np.zeros(self._warnings.shape, self._warnings.dtype)
         self._nan_warned = self._warned.copy()
 
     @property
@@ -302,22 +302,27 @@ class CpuSimulator:
         return self._taint.copy()
 
     def _update_taint(self) -> None:
-        deep = self._sensors[:, self._depth_col] < -PENETRATION_LIMIT
-        if may_hold(deep):
-            self._taint |= deep.astype(np.uint8) << TAINTS.index("penetration")
-        self._broken[:] = False
+        if may_hold(self._broken):
+            self._broken[:] = False
         warnings = self._warnings
+        least = -PENETRATION_LIMIT
+        seen = (warnings, self._warned, self._qpos)
+        if is_sound(self._sensors, self._depth_col, least, *seen):
+            return
+        deep = self._sensors[:, self._depth_col] < least
+        self._taint |= deep.astype(np.uint8) << TAINTS.index("penetration")
+        finite = np.isfinite(self._qpos).all(axis=1)
         rose = warnings > self._warned
-        # The sum is finite only if every entry is: one test for all worlds.
-        if may_hold(rose) or not math.isfinite(self._qpos.sum()):
-            for name, kinds in _TAINT_WARNINGS.items():
-                hit = rose[:, [int(k) for k in kinds]].any(axis=1)
-                self._taint |= hit.astype(np.uint8) << TAINTS.index(name)
-            nan_kinds = [int(k) for k in _TAINT_WARNINGS["nan"]]
-            again = (warnings > self._nan_warned)[:, nan_kinds].any(axis=1)
-            self._nan_warned = warnings.copy()
-            self._broken = again | ~np.isfinite(self._qpos).all(axis=1)
-            self._taint |= self._broken.astype(np.uint8) << TAINTS.index("nan")
+        if not may_hold(rose) and finite.all():
+            return
+        for name, kinds in _TAINT_WARNINGS.items():
+            hit = rose[:, [int(k) for k in kinds]].any(axis=1)
+            self._taint |= hit.astype(np.uint8) << TAINTS.index(name)
+        nan_kinds = [int(k) for k in _TAINT_WARNINGS["nan"]]
+        again = (warnings > self._nan_warned)[:, nan_kinds].any(axis=1)
+        self._nan_warned = warnings.copy()
+        self._broken = again | ~finite
+        self._taint |= self._broken.astype(np.uint8) << TAINTS.index("nan")
 
 
 def _rows(starts: np.ndarray, width: int) -> slice:

@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 import mjhab.envs as envs
 from mjhab.core.arrays import map_record, to_numpy
@@ -205,6 +207,43 @@ class Follower:
                 signals.kind, before.now, label_state.watch(signals)
             ),
         }
+
+
+@given(seed=st.integers(0, 2**32 - 1))
+@settings(deadline=None, max_examples=30)
+def test_the_compiled_sensing_has_the_bits_of_the_array_functions(
+    history: tuple[SequentialTaskEnv, list[SimState]], seed: int
+) -> None:
+    """Random subtasks, finished plans among them, contacts, poses of any sign and numbers that are not finite."""
+    env, states = history
+    rng = np.random.default_rng(seed)
+    state = _touched(states[int(rng.integers(len(states)))], env, rng)
+    pose = state.object_pose * rng.choice((-1.0, 0.0, 1.0, np.nan), (1, 1, 7))
+    state = dataclasses.replace(
+        state, object_pose=pose, ee_contact=rng.random(state.ee_contact.shape) < 0.5
+    )
+    focus = look_up(env.tables, pointers(env, rng), env.task_config)
+    plain = Sensing(env.layout, env.sim.addresses, WORLDS)
+    assert type(env.sensing) is not Sensing
+    assert env.signals is not None
+    wanted, found = (
+        (
+            sensing.world_state(state, env.tables, focus, env.joint_start),
+            sensing.context(state, focus, env.signals),
+        )
+        for sensing in (plain, env.sensing)
+    )
+    for have, want in zip(found, wanted, strict=True):
+        for field in dataclasses.fields(want):
+            assert_bits(getattr(have, field.name), getattr(want, field.name))
+
+
+def assert_bits(found: np.ndarray, wanted: np.ndarray) -> None:
+    assert found.dtype == wanted.dtype
+    np.testing.assert_array_equal(found, wanted)
+    if wanted.dtype.kind == "f":
+        known = ~np.isnan(wanted)
+        np.testing.assert_array_equal(np.signbit(found)[known], np.signbit(wanted)[known])
 
 
 @pytest.mark.parametrize("dtype", DTYPES)

@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 
 from mjhab.tasks.host_checks import HostBodyCheck
 from mjhab.tasks.measure import active_entries, check_body
-from mjhab.tasks.plan import SubtaskKind
+from mjhab.tasks.plan import PlanArrays, SubtaskKind
+from mjhab.tasks.signals import Active
 from mjhab.tasks.thresholds import TaskConfig
 from tests.tasks.build import REST, config_of, plan_of, resting
 
@@ -24,6 +25,18 @@ CONFIGS = {
     ),
     "published": config_of(stillness="published"),
 }
+
+
+def of_all_worlds(plan: PlanArrays, worlds: int, config: TaskConfig) -> Active:
+    """The first subtask of the plan of one world, active in several."""
+    rows = {f.name: getattr(plan, f.name) for f in dataclasses.fields(plan)}
+    many = {
+        name: None if row is None else np.repeat(row, worlds, axis=0)
+        for name, row in rows.items()
+    }
+    return active_entries(
+        dataclasses.replace(plan, **many), np.zeros(worlds, np.int64), config
+    )
 
 
 @pytest.mark.parametrize("config", CONFIGS.values(), ids=CONFIGS)
@@ -54,15 +67,7 @@ def test_the_compiled_checks_have_the_bits_of_the_array_functions(
     )
     kind = SubtaskKind(int(rng.integers(len(SubtaskKind))))
     plan = plan_of(kind, config=config, must_hold=kind == SubtaskKind.NAVIGATE)
-    plan = dataclasses.replace(
-        plan,
-        **{
-            f.name: np.repeat(rows, WORLDS, axis=0)
-            for f in dataclasses.fields(plan)
-            if (rows := getattr(plan, f.name)) is not None
-        },
-    )
-    active = active_entries(plan, np.zeros(WORLDS, np.int64), config)
+    active = of_all_worlds(plan, WORLDS, config)
     with np.errstate(invalid="ignore", over="ignore"):
         wanted = check_body(state, active, config)
         found = HostBodyCheck(config)(state, active, config)
@@ -86,15 +91,7 @@ def test_the_drawn_states_reach_both_sides_of_every_check() -> None:
         finger_force=state.finger_dir * wide[:, :, None],
     )
     plan = plan_of(SubtaskKind.PICK, config=config)
-    plan = dataclasses.replace(
-        plan,
-        **{
-            f.name: np.repeat(rows, worlds, axis=0)
-            for f in dataclasses.fields(plan)
-            if (rows := getattr(plan, f.name)) is not None
-        },
-    )
-    active = active_entries(plan, np.zeros(worlds, np.int64), config)
+    active = of_all_worlds(plan, worlds, config)
     found = HostBodyCheck(config)(state, active, config)
     for name in ("is_grasped", "contact", "ee_rest", "robot_rest", "is_static"):
         assert 0 < getattr(found, name).sum() < worlds, name

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import cache
 
 from mjhab.core.arrays import Array, as_like, cast, constant, namespace
 from mjhab.core.conventions.names import SCAN_AXES
@@ -72,6 +73,7 @@ def nearest_turn(
     return angles - _TURN * namespace(angles).round((angles - reference) * per_turn)
 
 
+@cache
 def turns(endless: tuple[bool, ...]) -> tuple[float, ...]:
     """Turns per radian of joints without limits, 0 for others."""
     return tuple(1.0 / _TURN if free else 0.0 for free in endless)

@@ -83,7 +83,7 @@ $(LEROBOT)/.ready: Makefile
 	  datasets==3.6.0 dill==0.3.8 multiprocess==0.70.16 fsspec==2025.3.0
 	@touch $@
 
-test-lerobot: $(VENV)/.dev $(LEROBOT)/.ready  ## load exported data sets with the real lerobot package (8 GB to install)
+test-lerobot: $(VENV)/.dev $(LEROBOT)/.ready  ## load exported data sets with older lerobot packages, 0.4.4 and 0.3.3 (8 GB to install)
 	$(BIN)/python tests/lerobot/make_set.py $(LEROBOT_OUT)/shards $(EPISODES)
 	$(BIN)/mjhab export lerobot $(LEROBOT_OUT)/shards --version 3.0 --out $(LEROBOT_OUT)/v30 --overwrite --json
 	$(BIN)/mjhab export lerobot $(LEROBOT_OUT)/shards --version 2.1 --out $(LEROBOT_OUT)/v21 --overwrite --json
@@ -107,11 +107,15 @@ LEROBOT_ENV := .venv-lerobot-env
 $(LEROBOT_ENV)/.ready: $(SETUP_FILES) plugins/lerobot_env_mjhab/pyproject.toml
 	@echo "mjhab: installing lerobot into $(LEROBOT_ENV), once (8 GB)"
 	@"$(PYTHON)" -m venv $(LEROBOT_ENV)
-	@$(LEROBOT_ENV)/bin/python -m pip install -q --disable-pip-version-check -e . -e plugins/lerobot_env_mjhab "lerobot[dataset]==0.6.1"
+	@$(LEROBOT_ENV)/bin/python -m pip install -q --disable-pip-version-check -e '.[data,serve]' -e plugins/lerobot_env_mjhab "lerobot[dataset]==0.6.1"
 	@touch $@
 
-test-lerobot-env: $(LEROBOT_ENV)/.ready  ## run episodes with the real lerobot package (8 GB to install, Python 3.12)
-	$(LEROBOT_ENV)/bin/python tests/integrations/check_lerobot_env.py
+test-lerobot-env: $(LEROBOT_ENV)/.ready  ## read, learn, evaluate and serve with the newest lerobot package (8 GB to install, Python 3.12)
+	HF_HUB_OFFLINE=1 HF_DATASETS_CACHE=$(LEROBOT_OUT)/cache06 $(LEROBOT_ENV)/bin/python tests/integrations/check_lerobot_env.py
+	$(LEROBOT_ENV)/bin/python tests/lerobot/make_set.py $(LEROBOT_OUT)/shards $(EPISODES)
+	$(LEROBOT_ENV)/bin/python -m mjhab export lerobot $(LEROBOT_OUT)/shards --version 3.0 --out $(LEROBOT_OUT)/v30 --overwrite --json
+	HF_HUB_OFFLINE=1 HF_DATASETS_CACHE=$(LEROBOT_OUT)/cache30 \
+	  $(LEROBOT_ENV)/bin/python tests/lerobot/check_export.py $(LEROBOT_OUT)/v30 $(LEROBOT_OUT)/shards
 
 RAY := .venv-ray
 $(RAY)/.ready: $(SETUP_FILES) | $(BIN)/python

@@ -33,6 +33,8 @@ RESULT = "teleop.json"
 NEAR_M = 0.03
 NEAR_RAD = 0.1
 """How near hand and base come to a waypoint before the next one."""
+GRIP_M = 0.01
+"""How near the hand comes before the fingers open or close."""
 PATIENCE = 15
 """Control steps after which the next waypoint is taken all the same."""
 ANSWER_S = 0.15
@@ -126,11 +128,14 @@ class ScriptedHuman(HandControl):
 
     def _next(self, view: WorldView) -> Waypoint:
         goal = self._way[self._at]
-        ahead = np.linalg.norm(view.tcp_pose[:3] - goal.tcp[:3])
-        base = np.linalg.norm(view.q[:2] - goal.q[:2])
+        grips = self._way[min(self._at + 1, len(self._way) - 1)].opens != goal.opens
+        hand = np.linalg.norm(view.tcp_pose[:3] - goal.tcp[:3])
+        # A base on wheels that stands does not move sideways: the hand makes up for that.
+        base, _ = _in_base_frame(view, goal.q)
         turn = abs(float(wrap(view.q[2] - goal.q[2])))
         self._waited += 1
-        is_near = max(ahead, base) < NEAR_M and turn < NEAR_RAD
+        is_near = hand < (GRIP_M if grips else NEAR_M)
+        is_near = is_near and abs(base) < NEAR_M and turn < NEAR_RAD
         if is_near or self._waited > PATIENCE:
             self._waited = 0
             self._at = min(self._at + 1, len(self._way) - 1)
@@ -140,13 +145,10 @@ class ScriptedHuman(HandControl):
         """Deflections that drive base and torso to those of the joints ``goal`` (J,)."""
         limits = view.robot.limits
         q = view.q
-        cos, sin = np.cos(q[2]), np.sin(q[2])
-        dx, dy = goal[:2] - q[:2]
-        ahead = cos * dx + sin * dy
-        aside = cos * dy - sin * dx
-        turn = float(wrap(goal[2] - q[2])) / ANSWER_S + TURN_PER_M * aside * np.sign(
-            ahead
-        )
+        ahead, aside = _in_base_frame(view, goal)
+        # Only while it drives: one that stands would turn to and fro, and never come to rest.
+        steered = TURN_PER_M * aside * np.clip(ahead / NEAR_M, -1.0, 1.0)
+        turn = float(wrap(goal[2] - q[2])) / ANSWER_S + steered
         (torso,) = view.robot.torso_columns
         wishes = {
             "forward": ahead / ANSWER_S / limits.forward,
@@ -157,6 +159,13 @@ class ScriptedHuman(HandControl):
             name: float(np.clip(wish / SHARES[name], -1.0, 1.0))
             for name, wish in wishes.items()
         }
+
+
+def _in_base_frame(view: WorldView, goal: np.ndarray) -> tuple[float, float]:
+    """How far ahead of the base, and to its left, the base of the joints ``goal`` (J,) stands [m]."""
+    cos, sin = np.cos(view.q[2]), np.sin(view.q[2])
+    dx, dy = goal[:2] - view.q[:2]
+    return float(cos * dx + sin * dy), float(cos * dy - sin * dx)
 
 
 def drive(

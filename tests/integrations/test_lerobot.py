@@ -18,9 +18,8 @@ def test_it_gives_what_lerobot_reads() -> None:
     )
     obs, _ = worlds.reset(seed=[3, 4])
     assert worlds.observation_space.contains(obs)
-    assert (
-        obs["pixels"]["head"].shape == (2, 16, 16, 3) and obs["pixels"]["head"].std() > 0
-    )
+    image = obs["pixels"]["fetch_head"]
+    assert image.shape == (2, 16, 16, 3) and image.std() > 0
     assert obs["agent_pos"].shape == (2, 34) and obs["environment_state"].shape == (2, 11)
     assert not np.array_equal(obs["agent_pos"][0], obs["agent_pos"][1])
     told = worlds.call("task_description")

@@ -56,7 +56,8 @@ def test_an_answer_is_what_was_sent(dialect: str) -> None:
         connection.close()
     assert len(connection.latency_ms) == len(policy.seen) == 2
     assert policy.resets == (1 if DIALECTS[dialect].remembers else 0)
-    assert policy.seen[0]["prompt"] == "pick up the bowl"
+    sentence = "task" if dialect == "lerobot" else "prompt"
+    assert policy.seen[0][sentence] == "pick up the bowl"
     images = [
         v for v in policy.seen[0].values() if isinstance(v, np.ndarray) and v.ndim == 3
     ]
@@ -254,7 +255,7 @@ def test_no_malformed_answer_stops_the_client(dialect: str) -> None:
         connection.send(pack(DIALECTS[dialect].greeting({"dialect": dialect})))
         for message in connection:
             asked = unpack(message) if isinstance(message, bytes) else {}
-            if dialect == "behavior" and "reset" in asked:
+            if dialect in ("behavior", "lerobot") and "reset" in asked:
                 continue
             connection.send(malformed(random))
 

@@ -6,14 +6,23 @@ LeRobot imports this package by its name; importing it registers the environment
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 import gymnasium
 from lerobot.configs.types import FeatureType, PolicyFeature
+from lerobot.envs import utils
 from lerobot.envs.configs import EnvConfig
 from lerobot.utils.constants import ACTION, OBS_ENV_STATE, OBS_IMAGES, OBS_STATE
 
-from mjhab.integrations.lerobot import CAMERAS, FPS, LeRobotEnv
+from mjhab.integrations.lerobot import FPS, LeRobotEnv
+
+
+def _world(options: dict[str, Any]) -> gymnasium.Env:
+    """One world; from LeRobot 0.6.1 on it is not simulated on after its episode while others of its batch are."""
+    world = LeRobotEnv(**options)
+    frozen = getattr(utils, "FreezeAfterEpisodeEnd", None)
+    return world if frozen is None else frozen(world)
 
 
 @EnvConfig.register_subclass("mjhab")
@@ -33,13 +42,12 @@ class MjhabEnvConfig(EnvConfig):
     features_map: dict[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        from mjhab.envs.observations.state import state_dim, unsensed_table
+        from mjhab.envs.observations.state import state_dim, unsensed_dim
         from mjhab.evaluation.served.action_spaces import ActionReader, space_named
         from mjhab.robots.controllers import make_controller
         from mjhab.robots.registry import robot_named
 
         robot = robot_named()
-        unsensed = sum(entry.shape[0] for entry in unsensed_table(robot))
         table = make_controller(space_named(self.actions).control_mode).table
         width = len(ActionReader(self.actions, table).names)
         shape = (self.image_size, self.image_size, 3)
@@ -48,14 +56,16 @@ class MjhabEnvConfig(EnvConfig):
             "agent_pos": PolicyFeature(
                 type=FeatureType.STATE, shape=(state_dim(robot, own=True),)
             ),
-            "environment_state": PolicyFeature(type=FeatureType.ENV, shape=(unsensed,)),
+            "environment_state": PolicyFeature(
+                type=FeatureType.ENV, shape=(unsensed_dim(robot),)
+            ),
         }
         self.features_map = {
             ACTION: ACTION,
             "agent_pos": OBS_STATE,
             "environment_state": OBS_ENV_STATE,
         }
-        for camera in CAMERAS:
+        for camera in robot.camera_names:
             key = f"pixels/{camera}"
             self.features[key] = PolicyFeature(type=FeatureType.VISUAL, shape=shape)
             self.features_map[key] = f"{OBS_IMAGES}.{camera}"
@@ -77,8 +87,7 @@ class MjhabEnvConfig(EnvConfig):
         self, n_envs: int, use_async_envs: bool = False
     ) -> dict[str, dict[int, gymnasium.vector.VectorEnv]]:
         """``n_envs`` worlds side by side, in processes of their own with ``use_async_envs``."""
-        kwargs = self.gym_kwargs
-        makers = [lambda: LeRobotEnv(**kwargs)] * n_envs
+        makers = [partial(_world, self.gym_kwargs)] * n_envs
         mode = gymnasium.vector.AutoresetMode.SAME_STEP
         if use_async_envs and n_envs > 1:
             worlds: Any = gymnasium.vector.AsyncVectorEnv(

@@ -33,6 +33,8 @@ TRIES = 3
 """Times that the hub is asked while it is busy or sends wrong bytes; cut connections are up to the library."""
 _PASSING = (408, 425, 429, 500, 502, 503, 504)
 """HTTP states that pass by themselves."""
+_BELOW = ("httpx2", "httpx")
+"""Library of connections of `huggingface_hub` 2, and of 1, which LeRobot 0.6 needs."""
 _HINTS = {
     401: ": it is private, or not there",
     403: ": it is not public",
@@ -228,9 +230,16 @@ def patiently(ask: Callable[[], Answer], what: str) -> Answer:
     raise AssertionError("the last try returns or raises")
 
 
+def _is_of_connection(error: BaseException) -> bool:
+    """Whether the library below `huggingface_hub` raised an error."""
+    return any(
+        kind.__name__ == "HTTPError" and kind.__module__.partition(".")[0] in _BELOW
+        for kind in type(error).__mro__
+    )
+
+
 def _transfer_error(what: str, error: BaseException) -> TransferError:
     """An error of the library in one line."""
-    import httpx2
     from huggingface_hub.errors import (
         FileMetadataError,
         HfHubHTTPError,
@@ -253,7 +262,7 @@ def _transfer_error(what: str, error: BaseException) -> TransferError:
         return TransferError(
             where, f"the server says {says}.", status, status in _PASSING
         )
-    if isinstance(error, httpx2.HTTPError):
+    if _is_of_connection(error):
         said = reason(error) if str(error) else type(error).__name__
         advice = f"is there a network? A proxy is named by https_proxy. {_KEPT}"
         return TransferError(what, f"the connection failed ({said}): {advice}")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any, ClassVar
 
 import gymnasium
@@ -11,13 +10,11 @@ from gymnasium import spaces
 
 import mjhab.envs as envs
 from mjhab.core.errors import UsageError
-from mjhab.envs.observations.entry import ObsEntry
-from mjhab.envs.observations.modes import STATE_KEY, camera_key, image_size
-from mjhab.envs.observations.state import state_observation, state_table, unsensed_table
+from mjhab.envs.observations.modes import camera_key, image_size
+from mjhab.envs.observations.state import state_dim, unsensed_dim
 from mjhab.evaluation.served.action_spaces import ActionReader, space_named
+from mjhab.evaluation.served.own_state import split_state
 
-CAMERAS = ("head", "wrist")
-"""Names of the images, in the order of the robot's cameras."""
 FPS = 20
 MAX_SUBTASK_STEPS = 500
 MAX_CHAIN_STEPS = 8000
@@ -27,10 +24,12 @@ MAX_CHAIN_STEPS = 8000
 class LeRobotEnv(gymnasium.Env):
     """One world with the observations, attributes and info that LeRobot's evaluation reads.
 
-    Observations: ``pixels`` with the images "head" and "wrist" (H, W, 3) uint8; ``agent_pos`` (34,), what the robot's
-    own sensors tell; ``environment_state`` (11,), what only the simulation knows (object, goal, grasp). In exported
-    data sets they are ``observation.state`` and ``observation.environment_state``. ``info``: ``is_success``, whether
-    the episode succeeded so far. ``task_description`` is the instruction of the active subtask.
+    Observations: ``pixels`` with the images of the robot's cameras (H, W, 3) uint8, "fetch_head" and "fetch_hand";
+    ``agent_pos`` (34,), what the robot's own sensors tell; ``environment_state`` (11,), what only the simulation knows
+    (object, goal, grasp). In exported data sets they are ``observation.state`` and ``observation.environment_state``,
+    the images ``observation.images.NAME``, and actions those of the space "joint": a policy that was trained on an
+    export needs no renaming. ``info``: ``is_success``, whether the episode succeeded so far. ``task_description`` is
+    the instruction of the active subtask.
 
     Args:
         actions: an action space of `evaluation.served.action_spaces`.
@@ -59,8 +58,6 @@ class LeRobotEnv(gymnasium.Env):
         )
         config = self._env.config
         robot = self._env.layout.robot
-        self._own = state_table(robot, own=True)
-        self._unsensed = unsensed_table(robot)
         self._reader = ActionReader(actions, self._env.action_table)
         self._index = -1
         self._success = False
@@ -71,9 +68,9 @@ class LeRobotEnv(gymnasium.Env):
         image = spaces.Box(0, 255, shape, np.uint8)
         self.observation_space = spaces.Dict(
             {
-                "pixels": spaces.Dict(dict.fromkeys(CAMERAS, image)),
-                "agent_pos": _box(self._own),
-                "environment_state": _box(self._unsensed),
+                "pixels": spaces.Dict(dict.fromkeys(robot.camera_names, image)),
+                "agent_pos": _box(state_dim(robot, own=True)),
+                "environment_state": _box(unsensed_dim(robot)),
             }
         )
         self.action_space = spaces.Box(
@@ -119,22 +116,18 @@ class LeRobotEnv(gymnasium.Env):
     def _converted(self, obs: Any, info: Any) -> tuple[dict[str, Any], dict[str, Any]]:
         self.task_description = info["instruction"][0]
         images = {
-            name: obs[camera_key(camera, "rgb")][0]
-            for name, camera in zip(
-                CAMERAS, self._env.layout.robot.camera_names, strict=True
-            )
+            camera: obs[camera_key(camera, "rgb")][0]
+            for camera in self._env.layout.robot.camera_names
         }
-        env = self._env
-        context = env.sensing.context(env.state, env.focus, env.signals)
+        own, unsensed = split_state(self._env)
         seen = {
             "pixels": images,
-            "agent_pos": state_observation(self._own, context)[STATE_KEY][0],
-            "environment_state": state_observation(self._unsensed, context)[STATE_KEY][0],
+            "agent_pos": own[0],
+            "environment_state": unsensed[0],
         }
         return seen, {"is_success": self._success}
 
 
-def _box(table: Sequence[ObsEntry]) -> spaces.Box:
-    """The space of the entries of a table side by side."""
-    width = sum(entry.shape[0] for entry in table)
+def _box(width: int) -> spaces.Box:
+    """The space of so many numbers."""
     return spaces.Box(-np.inf, np.inf, (width,), np.float32)

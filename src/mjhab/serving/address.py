@@ -39,7 +39,7 @@ class Address:
 
     uri: str
     """Where the server is: ws://host:port."""
-    dialect: Annotated[str, Flag(metavar="openpi|roboarena|behavior")] = "openpi"
+    dialect: Annotated[str, Flag(metavar="openpi|roboarena|behavior|lerobot")] = "openpi"
     """With --policy ws://host:port: message format of the server, see `serving.dialects`."""
     execute: Annotated[int, Bound(1)] = 8
     """With --policy ws://host:port: actions of a chunk that are executed before the next request."""
@@ -70,8 +70,8 @@ class Address:
     """With --real-time: what acts while the policy thinks: the rest of the chunk before, and its answer goes on from
     where the steps have got to; the last action once more; or the robot stands still."""
     batch: bool = False
-    """With --policy ws://host:port and the dialect behavior: one request for all worlds; arrays have the worlds in
-    front, also when one is left."""
+    """With --policy ws://host:port and the dialect behavior or lerobot: one request for all worlds; arrays have the
+    worlds in front, also when one is left."""
 
     def __post_init__(self) -> None:
         dialect = dialect_named(self.dialect)

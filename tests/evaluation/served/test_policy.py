@@ -21,6 +21,7 @@ from mjhab.evaluation.served.twin import (
     TwinResponder,
     TwinSession,
 )
+from mjhab.integrations.lerobot import LeRobotEnv
 from mjhab.learning.checkpoint import save_student
 from mjhab.learning.configs import InputConfig
 from mjhab.learning.observation.spec import observation_spec_of
@@ -296,18 +297,51 @@ def test_a_server_that_is_killed_and_started_again_loses_no_episode() -> None:
     assert all(record.steps == STEPS and not record.error for record in records)
 
 
-@pytest.mark.parametrize("dialect", ["openpi", "roboarena", "behavior"])
+@pytest.mark.parametrize("dialect", ["openpi", "roboarena", "behavior", "lerobot"])
 def test_the_expert_acts_over_the_line_as_it_does_at_home(dialect: str) -> None:
     episodes = [0, 1]
     env = world()
     at_home = rollout(env, resolve_policy("expert", env), episodes, seed=0, max_steps=25)
     with serving(TwinResponder("expert", PolicyOptions()), dialect) as server:
-        options = f"&dialect={dialect}" + ("&batch=yes" if dialect == "behavior" else "")
+        options = f"&dialect={dialect}" + (
+            "&batch=yes" if dialect in ("behavior", "lerobot") else ""
+        )
         served = resolve_policy(spec(server.port, options), env)
         away = rollout(env, served, episodes, seed=0, max_steps=25)
         served.close()  # type: ignore[attr-defined]
     assert [record.error for record in away] == ["", ""]
     assert [r.final_state for r in away] == [r.final_state for r in at_home]
+
+
+def test_a_policy_of_lerobot_sees_what_its_data_have() -> None:
+    """The keys, sizes and values of the environment of LeRobot, whose names are those of exported data."""
+
+    class Trained(Constant):
+        def metadata(self) -> Mapping[str, Any]:
+            names = ["fetch_head", "fetch_hand", "empty_camera_0"]
+            return {"state": "own", "cameras": names, "image_resolution": [32, 32]}
+
+    policy = Trained()
+    with serving(policy, "lerobot") as server:
+        address = spec(server.port, "&dialect=lerobot&batch=yes")
+        env = world(**inspect_policy(address).env_options, num_envs=1)
+        served = resolve_policy(address, env)
+        rollout(env, served, [3], seed=0, max_steps=1)
+        served.close()  # type: ignore[attr-defined]
+    other = LeRobotEnv(
+        task="set_table", subtask="close", split=env.config.split, camera_size=32
+    )
+    obs, _ = other.reset(seed=3)
+    (seen,) = policy.seen
+    assert seen["task"] == [other.task_description]
+    for name, image in obs["pixels"].items():
+        np.testing.assert_array_equal(seen[f"observation.images.{name}"][0], image)
+    assert not seen["observation.images.empty_camera_0"].any()
+    np.testing.assert_array_equal(seen["observation.state"][0], obs["agent_pos"])
+    np.testing.assert_array_equal(
+        seen["observation.environment_state"][0], obs["environment_state"]
+    )
+    other.close()
 
 
 def test_a_server_of_mjhab_says_what_it_lacks() -> None:

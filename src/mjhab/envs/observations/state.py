@@ -209,6 +209,11 @@ def unsensed_table(robot: Robot) -> tuple[ObsEntry, ...]:
     return tuple(entry for entry in state_table(robot) if entry.key not in own)
 
 
+def unsensed_dim(robot: Robot) -> int:
+    """Number of values of `unsensed_table`."""
+    return sum(entry.shape[0] for entry in unsensed_table(robot))
+
+
 BASE_VELOCITY_KEY = "agent/base_vel"
 
 

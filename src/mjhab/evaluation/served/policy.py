@@ -22,6 +22,7 @@ from mjhab.data.record.worlds import RecordedEnv
 from mjhab.envs.observations.modes import STATE_KEY, camera_key
 from mjhab.evaluation.served.action_spaces import ActionReader
 from mjhab.evaluation.served.metadata import own_part, space_of
+from mjhab.evaluation.served.own_state import OWN_STATE, STATE_PARTS, split_state
 from mjhab.evaluation.served.real_time import Answer, Pace, Playback
 from mjhab.serving.address import CHUNK, Address
 from mjhab.serving.client import Connection, PolicyFault
@@ -86,6 +87,7 @@ class ServedPolicy:
                 "--instruction out, or serve a student that was trained with sentences.",
             )
         self._reader = ActionReader(space_of(address, metadata), self._env.action_table)
+        self._splits = metadata.get(STATE_PARTS) == OWN_STATE
         self._pace = Pace.of(address)
         self._late = 0
         self._told_late = False
@@ -248,6 +250,7 @@ class ServedPolicy:
         robot = self._env.layout.robot
         external, wrist = (*robot.camera_names, "", "")[:2]
         head, hand = (obs.get(camera_key(camera, "rgb")) for camera in (external, wrist))
+        parts = split_state(self._env) if self._splits else None
         q = self._env.state.robot_q[w]
         if Conventions.of(vars(self._env.config)).joint_angles == WRAPPED:
             q = within_half_a_turn(q, robot.endless)
@@ -265,6 +268,8 @@ class ServedPolicy:
             chunk=self._address.execute,
             own=self._own_part(w, obs) if self._needs else None,
             timing=self._timing(w),
+            sensed=None if parts is None else parts[0][w],
+            unsensed=None if parts is None else parts[1][w],
         )
 
     def _arm_positions(self, q: np.ndarray) -> np.ndarray:

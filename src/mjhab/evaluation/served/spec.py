@@ -29,7 +29,7 @@ class ServeSpec(EnvSpec):
     policy: Annotated[str, Flag(metavar="NAME", positional=True)]
     """The policy: expert, learned (with --task, --subtask and --target), random, zero, a CHECKPOINT.safetensors, or
     FILE.py:CLASS."""
-    dialect: Annotated[str, Flag(metavar="openpi|roboarena|behavior")] = "openpi"
+    dialect: Annotated[str, Flag(metavar="openpi|roboarena|behavior|lerobot")] = "openpi"
     """Message format."""
     host: Annotated[str, Flag(metavar="ADDRESS")] = "127.0.0.1"
     """Address to listen on; 0.0.0.0 for all networks of this machine."""

@@ -29,6 +29,8 @@ class Ask:
     chunk: largest number of actions in the answer. own: additional entries for servers of mjhab. timing: where the
     world goes on while the server thinks, what it must know of the time: "step", the control step of the observation in
     its episode; "hz", control steps per second; "delay", control steps until the answer is expected to be there.
+    sensed, unsensed: float32, what the robot's own sensors tell, and what only the simulation knows; where they are
+    asked for in place of ``state``.
     """
 
     robot: str
@@ -44,6 +46,8 @@ class Ask:
     chunk: int
     own: Mapping[str, Any] | None = None
     timing: Mapping[str, Any] | None = None
+    sensed: np.ndarray | None = None
+    unsensed: np.ndarray | None = None
 
 
 @dataclass(frozen=True)

@@ -10,13 +10,14 @@ import numpy as np
 from mjhab.core.errors import unknown_name
 from mjhab.serving.dialects.behavior import Behavior
 from mjhab.serving.dialects.dialect import OWN, Dialect
+from mjhab.serving.dialects.lerobot import LeRobot
 from mjhab.serving.dialects.openpi import OpenPi
 from mjhab.serving.dialects.roboarena import RoboArena
 
 _ROBOARENA_KEYS = frozenset(
     {"image_resolution", "needs_session_id", "n_external_cameras"}
 )
-_DIALECTS: tuple[Dialect, ...] = (OpenPi(), RoboArena(), Behavior())
+_DIALECTS: tuple[Dialect, ...] = (OpenPi(), RoboArena(), Behavior(), LeRobot())
 DIALECTS: dict[str, Dialect] = {dialect.name: dialect for dialect in _DIALECTS}
 
 

@@ -12,10 +12,10 @@ import json
 import sys
 import tempfile
 import threading
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-import lerobot
 import numpy as np
 import torch
 from lerobot.datasets.lerobot_dataset import LeRobotDataset
@@ -167,7 +167,7 @@ def main() -> None:
         evaluated(policy, folder)
         served(policy, folder)
     print(
-        f"lerobot {lerobot.__version__} reads, learns from, evaluates in and serves mjhab: "
+        f"lerobot {version('lerobot')} reads, learns from, evaluates in and serves mjhab: "
         f"{EPISODES} episodes, {len(data)} frames"
     )
 

@@ -54,7 +54,7 @@ def _completed(
         inner = [
             hint
             for hint in (hints[name], *get_args(hints[name]))
-            if dataclasses.is_dataclass(hint)
+            if isinstance(hint, type) and dataclasses.is_dataclass(hint)
         ]
         if name not in old and name in now:
             told[name] = _default(field)
@@ -71,7 +71,8 @@ def _default(field: dataclasses.Field[Any]) -> Any:
         value = field.default_factory()
     else:
         value = None if field.default is dataclasses.MISSING else field.default
-    plain = dataclasses.asdict(value) if dataclasses.is_dataclass(value) else value
+    is_record = dataclasses.is_dataclass(value) and not isinstance(value, type)
+    plain = dataclasses.asdict(value) if is_record else value
     return json.loads(json.dumps(plain))
 
 

@@ -71,9 +71,9 @@ def _default(field: dataclasses.Field[Any]) -> Any:
         value = field.default_factory()
     else:
         value = None if field.default is dataclasses.MISSING else field.default
-    is_record = dataclasses.is_dataclass(value) and not isinstance(value, type)
-    plain = dataclasses.asdict(value) if is_record else value
-    return json.loads(json.dumps(plain))
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        value = dataclasses.asdict(value)
+    return json.loads(json.dumps(value))
 
 
 def _lengthen(old: dict[str, Any], now: Mapping[str, Any], path: tuple[str, ...]) -> None:

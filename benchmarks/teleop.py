@@ -35,6 +35,8 @@ NEAR_RAD = 0.1
 """How near hand and base come to a waypoint before the next one."""
 GRIP_M = 0.01
 """How near the hand comes before the fingers open or close."""
+REST_RAD = 0.05
+"""How near the expert's arm is to its posture at rest where the person takes the key for it."""
 PATIENCE = 15
 """Control steps after which the next waypoint is taken all the same."""
 ANSWER_S = 0.15
@@ -122,7 +124,9 @@ class ScriptedHuman(HandControl):
         view = env.view(world)
         goal = self._next(view)
         self._presses = not self._presses and goal.opens != (self.gripper > 0.0)
-        self.take(HandInput(self._keys(view, goal.q), self._presses))
+        arm = list(view.robot.arm_columns)
+        rests = bool(np.abs(wrap(goal.q[arm] - view.robot.rest[arm])).max() < REST_RAD)
+        self.take(HandInput(self._keys(view, goal.q), self._presses, rest=rests))
         self.aim(tcp_in_arm_frame(view.robot, view.q, goal.tcp))
         return super().action(env, world)
 

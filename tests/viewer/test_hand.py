@@ -201,6 +201,39 @@ def test_a_pose_out_of_reach_commands_no_more_than_actions_reach(running: Any) -
     assert saturated
 
 
+def test_a_key_brings_the_arm_to_rest(running: Any) -> None:
+    """And no action is larger than what is executed; then the gripper stays there."""
+    running.reset(seed=0, options={"episode": [0]})
+    robot = running.layout.robot
+    arm = list(robot.arm_columns)
+    hand = HandControl()
+    hand.begin(running, 0)
+    goal = hand.pose
+    goal[:3] += (0.1, -0.2, 0.1)
+    hand.aim(goal)
+    for _ in range(15):
+        running.step(hand.action(running, 0)[None])
+
+    def away() -> float:
+        return float(np.abs(running.state.robot_q[0, arm] - robot.rest[arm]).max())
+
+    assert away() > 0.3
+    for _ in range(40):
+        hand.hear(keys("KeyV"))
+        q = running.state.robot_q[0, arm]
+        action = hand.action(running, 0)
+        wanted = q + robot.limits.joint_delta * action[: len(arm)]
+        np.testing.assert_allclose(
+            hand._arm.get_state(0)["arm_target"], wanted, atol=1e-6
+        )
+        running.step(action[None])
+    assert away() < 0.02
+    hand.hear(keys())
+    for _ in range(5):
+        running.step(hand.action(running, 0)[None])
+    assert away() < 0.02
+
+
 @pytest.mark.parametrize(
     "pose", [np.zeros(6), np.zeros(7), np.full(7, np.nan), np.ones((1, 7))]
 )

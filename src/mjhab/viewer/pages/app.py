@@ -29,7 +29,7 @@ from mjhab.viewer.drawn.stage import MIN_MOVE, DrawnStage
 from mjhab.viewer.pages.gateway import Gateway
 from mjhab.viewer.pages.panels import Panels
 from mjhab.viewer.pages.playhead import Playhead
-from mjhab.viewer.sources.hand_input import GRIPPER_KEY, HOLD_KEY, KEYS
+from mjhab.viewer.sources.hand_input import GRIPPER_KEY, HOLD_KEY, KEYS, REST_KEY
 from mjhab.viewer.sources.source import ViewSource
 from mjhab.viewer.sources.track import Track
 
@@ -267,7 +267,7 @@ class Viewer:
     def _tell_hand(self, driving: bool) -> None:
         """Tell `hand.js` in all pages whether to send input, and which keys."""
         hold = HOLD_KEY if self.source.is_live else ""
-        keys = [*KEYS, GRIPPER_KEY, hold]
+        keys = [*KEYS, GRIPPER_KEY, REST_KEY, hold]
         message = json.dumps({"hand": driving, "keys": keys, "hold": hold})
         if message != self._sent_hand:
             self._sent_hand = message

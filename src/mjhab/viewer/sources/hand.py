@@ -15,6 +15,7 @@ from mjhab.core.rotations import (
     pose_mul,
     quat_from_mat,
     rotation_vector,
+    wrap,
 )
 from mjhab.envs.sequential import SequentialTaskEnv
 from mjhab.robots.controllers import DEFAULT_MODE, make_controller
@@ -151,7 +152,8 @@ class HandControl:
         )
         wish = {name: SHARES[name] * held.motions.get(name, 0.0) for name in MOTIONS}
         q = env.state.robot_q[[world]]
-        target = self._arm_target(self._hand_move(wish), q)
+        move = self._hand_move(wish)
+        target = self._towards_rest(q) if held.rest else self._arm_target(move, q)
         action = np.zeros(len(env.action_table), np.float32)
         gripper = env.controller.gripper
         for column, entry in enumerate(env.action_table):
@@ -189,6 +191,18 @@ class HandControl:
         turn = _shortened(rotation_vector(spin[None])[0], AIM_STEP_RAD)
         limits = self._arm.limits
         return np.concatenate([way / limits.ee_move, turn / limits.ee_turn])
+
+    def _towards_rest(self, q: np.ndarray) -> np.ndarray:
+        """Target joint positions (J,) that bring the arm nearer to its posture at rest; ``q`` (1, J): measured."""
+        arm = list(self._robot.arm_columns)
+        limits = np.array([self._robot.joint_limits[column] for column in arm])
+        way = self._robot.rest[arm] - q[0, arm]
+        way = np.where(np.isfinite(limits[:, 0]), way, wrap(way))
+        target = q[0].copy()
+        target[arm] += way / max(1.0, np.abs(way).max() / self._arm.limits.joint_delta)
+        self._arm.set_state(0, {_TARGET: target[arm]})
+        self._aim = None
+        return target
 
     def _arm_target(self, move: np.ndarray, q: np.ndarray) -> np.ndarray:
         """Target joint positions (J,) [rad or m] after a move of the gripper; only the arm's are used.

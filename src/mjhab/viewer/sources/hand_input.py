@@ -63,6 +63,9 @@ HOLD_KEY = "KeyC"
 """Key that lets the person act as long as it is held, and the policy again when it is released."""
 HOLD_BUTTONS = (10, 11)
 """Buttons that do the same: the sticks, pressed."""
+REST_KEY = "KeyV"
+"""Key that brings the arm to its posture at rest, as long as it is held: tasks end there, and a pose of the hand leaves
+the elbow free."""
 MOTIONS = (
     "forward",
     "turn",
@@ -80,12 +83,13 @@ MOTIONS = (
 
 @dataclass(frozen=True)
 class HandInput:
-    """State of keys and gamepad. motions: -1 to 1 by name of `MOTIONS`, 0 if missing. gripper, hold: their key is
-    down."""
+    """State of keys and gamepad. motions: -1 to 1 by name of `MOTIONS`, 0 if missing. gripper, hold, rest: their
+    key is down."""
 
     motions: Mapping[str, float] = field(default_factory=dict)
     gripper: bool = False
     hold: bool = False
+    rest: bool = False
 
 
 def read_input(message: str) -> HandInput:
@@ -125,4 +129,5 @@ def read_input(message: str) -> HandInput:
         motions,
         GRIPPER_KEY in keys or GRIPPER_BUTTON in pressed,
         HOLD_KEY in keys or not pressed.isdisjoint(HOLD_BUTTONS),
+        REST_KEY in keys,
     )

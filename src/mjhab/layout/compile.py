@@ -15,6 +15,7 @@ from mjhab.core.names import below
 from mjhab.layout.joints import give_stopped_weight
 from mjhab.layout.layout import Layout
 from mjhab.layout.model_spec import build_spec
+from mjhab.layout.search_trees import rebuild_trees
 from mjhab.scenes.spec import PUBLISHED_DYNAMICS, Home
 
 
@@ -84,6 +85,7 @@ def compile_home(layout: Layout, home: Home) -> mujoco.MjModel:
             if layout.joint_dynamics == PUBLISHED_DYNAMICS:
                 pieces = layout.pack.articulations.values()
                 give_stopped_weight(model, pieces, layout.stopped_links)
+            rebuild_trees(model)
         except ValueError as error:
             reason = ", ".join(str(error).splitlines())
             raise fault(f"home {home.name!r}", f"does not compile: {reason}") from error

@@ -178,10 +178,18 @@ def source_commit() -> str:
         return os.environ.get("MJHAB_COMMIT", "")
 
 
+_SEARCH_TREES = "bvh_"
+
+
 def model_hash(model: Any) -> str:
-    """Hash of every array of a compiled model: sizes, poses, masses, servos, names."""
+    """Hash of every array of a compiled model: sizes, poses, masses, servos, names.
+
+    Those of the search trees are left out: they change how fast contacts are found, and not which.
+    """
     digest = hashlib.sha256()
     for name in sorted(dir(model)):
+        if name.startswith(_SEARCH_TREES):
+            continue
         value = None if name.startswith("_") else getattr(model, name)
         if isinstance(value, np.ndarray):
             digest.update(

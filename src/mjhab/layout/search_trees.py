@@ -69,7 +69,7 @@ class _Tree:
         self._endless = endless
         self._low = boxes[:, :3] - boxes[:, 3:]
         self._high = boxes[:, :3] + boxes[:, 3:]
-        self._far = (boxes[:, 3:] > FAR_M).any(axis=1)
+        self._far: np.ndarray = np.any(boxes[:, 3:] > FAR_M, axis=1)
 
     def box(self, some: np.ndarray) -> np.ndarray:
         """Box (6,) of some leaves."""

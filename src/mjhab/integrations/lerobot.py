@@ -24,7 +24,7 @@ MAX_CHAIN_STEPS = 8000
 class LeRobotEnv(gymnasium.Env):
     """One world with the observations, attributes and info that LeRobot's evaluation reads.
 
-    Observations: ``pixels`` with the images of the robot's cameras (H, W, 3) uint8, "fetch_head" and "fetch_hand";
+    Observations: ``pixels`` with the images of the robot's cameras by name, (H, W, 3) uint8;
     ``agent_pos`` (34,), what the robot's own sensors tell; ``environment_state`` (11,), what only the simulation knows
     (object, goal, grasp). In exported data sets they are ``observation.state`` and ``observation.environment_state``,
     the images ``observation.images.NAME``, and actions those of the space "joint": a policy that was trained on an

@@ -15,7 +15,7 @@ OWN_STATE = "own"
 
 
 def split_state(env: Any) -> tuple[np.ndarray, np.ndarray]:
-    """Both parts of the present state of all worlds, float32: (W, 34) and (W, 11) for Fetch.
+    """Both parts of the present state of all worlds, float32: (W, 34) and (W, 11) for the default robot.
 
     They are ``observation.state`` and ``observation.environment_state`` of ``mjhab export lerobot``. ``env`` is a
     `SequentialTaskEnv` on the host that was reset.

@@ -17,6 +17,9 @@ from mjhab.learning.checkpoint import load_student, save_student
 from mjhab.learning.configs import ACT, InputConfig, NetworkConfig
 from mjhab.learning.observation.sentences import encode_sentence
 from mjhab.learning.observation.spec import ObservationSpec, observation_spec_of
+from mjhab.learning.reinforcement.agent_encoder import AgentObs
+from mjhab.learning.reinforcement.configs import reinforcement_preset
+from mjhab.learning.reinforcement.ppo.agent import Ppo
 from mjhab.learning.runs.specs import Scene
 from mjhab.learning.students.bc import BehaviourCloning
 from mjhab.learning.students.heads import make_student
@@ -205,3 +208,31 @@ def test_a_routed_network_is_not_trained_from_nothing() -> None:
     network = dataclasses.replace(config().network, experts=("whole",), routes=(0,))
     with pytest.raises(UsageError, match="sentence"):
         make_student(config(inputs=inputs, network=network), layout(inputs))
+
+
+def test_ppo_goes_on_from_a_joined_student_and_freezes_no_part_of_it() -> None:
+    one = joined([_member(1, WHOLE), _member(2, WHOLE)], _routes())
+    _fitted(one)
+    one.requires_grad_(True)
+    polish = reinforcement_preset("ppo", "polish")
+    agent = Ppo(dataclasses.replace(polish, inputs=WHOLE), one.layout, 0, 0, one)
+    random = np.random.default_rng(0)
+    images = random.integers(0, 256, (WORLDS, 1, SIZE, SIZE), np.uint8)
+    said = np.tile(encode_sentence(SAID[0][0]), (WORLDS, 1))
+    vector = np.hstack([random.normal(size=(WORLDS, one.layout.measured_width)), said])
+    seen = AgentObs(
+        torch.from_numpy(vector.astype(np.float32)),
+        torch.from_numpy(images),
+        torch.zeros(WORLDS, 0),
+    )
+    agent.mean(seen).sum().backward()
+    trunk = one.trunk
+    assert isinstance(trunk, RoutedTrunk)
+    touched = [
+        any(p.grad is not None and p.grad.any() for p in expert.parameters())
+        for expert in trunk.experts
+    ]
+    assert touched == [True, False]
+    frozen = dataclasses.replace(polish.ppo, freeze_encoder=True)  # type: ignore[type-var]
+    with pytest.raises(UsageError, match="policy join"):
+        Ppo(dataclasses.replace(polish, ppo=frozen), one.layout, 0, 0, one)

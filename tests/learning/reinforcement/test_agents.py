@@ -14,6 +14,7 @@ import torch
 
 from mjhab.core.errors import UsageError
 from mjhab.learning.configs import preset_of
+from mjhab.learning.networks import Trunk
 from mjhab.learning.observation.spec import ObservationSpec
 from mjhab.learning.reinforcement.agent_encoder import AgentEncoder
 from mjhab.learning.reinforcement.configs import (
@@ -322,18 +323,24 @@ def in_pictures(**changes: object) -> tuple[PpoLearner, Ppo]:
     return PpoLearner(agent, place, config, seed=0), agent
 
 
+def _trunk(agent: Ppo) -> Trunk:
+    trunk = agent.actor.trunk
+    assert isinstance(trunk, Trunk)
+    return trunk
+
+
 def test_a_frozen_encoder_keeps_its_weights_and_changes_no_number() -> None:
     rollouts = []
     for frozen in (False, True):
         learner, agent = in_pictures(freeze_encoder=frozen)
-        encoder = [value.clone() for value in agent.actor.trunk.encoder.parameters()]
-        layers = [value.clone() for value in agent.actor.trunk.layers.parameters()]
+        encoder = [value.clone() for value in _trunk(agent).encoder.parameters()]
+        layers = [value.clone() for value in _trunk(agent).layers.parameters()]
         rollout = learner.collect()
         rollouts.append(rollout)
         learner.update(rollout, 0.0)
-        kept = map(torch.equal, encoder, agent.actor.trunk.encoder.parameters())
+        kept = map(torch.equal, encoder, _trunk(agent).encoder.parameters())
         assert all(kept) == frozen
-        assert not all(map(torch.equal, layers, agent.actor.trunk.layers.parameters()))
+        assert not all(map(torch.equal, layers, _trunk(agent).layers.parameters()))
     free, kept = rollouts
     assert free.encoded is None and kept.encoded is not None
     assert torch.equal(free.actions, kept.actions)
@@ -348,7 +355,7 @@ def test_a_frozen_encoder_needs_a_student() -> None:
 
 def test_a_critic_without_images_sees_the_rest() -> None:
     learner, agent = in_pictures(critic_images=False)
-    assert agent.value.encoder.cameras == 0 and agent.actor.trunk.encoder.cameras == 1
+    assert agent.value.encoder.cameras == 0 and _trunk(agent).encoder.cameras == 1
     seen = learner.worlds.seen
     values = agent.value(seen)
     other = dataclasses.replace(seen, images=255 - seen.images)

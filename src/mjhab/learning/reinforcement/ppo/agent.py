@@ -22,6 +22,7 @@ from mjhab.learning.reinforcement.configs import (
 from mjhab.learning.reinforcement.networks import Value
 from mjhab.learning.students.bc import BehaviourCloning
 from mjhab.learning.students.heads import make_student
+from mjhab.learning.students.routed import RoutedTrunk
 from mjhab.learning.students.student import Student
 
 
@@ -59,6 +60,12 @@ class Ppo(nn.Module):
                     True,
                     "left out without a student",
                     "It keeps the weights of one: give one with --start.",
+                )
+            if isinstance(actor.trunk, RoutedTrunk):
+                raise wrong_value(
+                    "freeze_encoder",
+                    True,
+                    "left out with a student that `mjhab policy join` made: each of its parts has an encoder",
                 )
             actor.trunk.requires_grad_(False)
             actor.trunk.layers.requires_grad_(True)

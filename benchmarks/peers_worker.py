@@ -13,8 +13,6 @@ from collections.abc import Callable
 from importlib.metadata import version
 from typing import Any
 
-os.environ.setdefault("MUJOCO_GL", "egl")
-
 import numpy as np
 
 SIDE = 128
@@ -114,4 +112,6 @@ def measure(name: str, seconds: float) -> dict[str, Any]:
 
 
 if __name__ == "__main__":
+    # Before a peer is imported; not where this module is.
+    os.environ.setdefault("MUJOCO_GL", "egl")
     print(json.dumps(measure(sys.argv[1], float(sys.argv[2]))))

@@ -22,7 +22,7 @@ from mjhab.learning.reinforcement.configs import reinforcement_preset
 from mjhab.learning.reinforcement.ppo.agent import Ppo
 from mjhab.learning.runs.specs import Scene
 from mjhab.learning.students.bc import BehaviourCloning
-from mjhab.learning.students.heads import make_student
+from mjhab.learning.students.heads import check_student, make_student
 from mjhab.learning.students.routed import RoutedTrunk, fit_gate
 from mjhab.learning.students.student import Student
 from tests.learning.small import SIZE, condition_of, config, layout
@@ -208,6 +208,9 @@ def test_a_routed_network_is_not_trained_from_nothing() -> None:
     network = dataclasses.replace(config().network, experts=("whole",), routes=(0,))
     with pytest.raises(UsageError, match="sentence"):
         make_student(config(inputs=inputs, network=network), layout(inputs))
+    told = dataclasses.replace(WHOLE, condition=False, sentence=True)
+    with pytest.raises(UsageError, match="policy join"):
+        check_student(config(inputs=told, network=network), layout(told))
 
 
 def test_ppo_goes_on_from_a_joined_student_and_freezes_no_part_of_it() -> None:

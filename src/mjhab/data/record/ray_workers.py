@@ -169,6 +169,7 @@ class RayPool:
                     said = self._greet(number, said)
                 found += [(number, message) for message in said]
             except self._ray.exceptions.RayActorError:
+                self._forget_mark(number)
                 # The process may still run on a node that cannot be reached.
                 with contextlib.suppress(self._ray.exceptions.RayError):
                     self._ray.kill(self._actors[number])
@@ -188,6 +189,12 @@ class RayPool:
         self._calls[self._actors[number].begin.remote(spec, mark.parent)] = number
         return []
 
+    def _forget_mark(self, number: int) -> None:
+        """Delete the file that the node of a worker should have seen, if it did not come to that."""
+        _, mark = self._beginning.pop(number, (None, None))
+        if mark is not None:
+            mark.unlink(missing_ok=True)
+
     def stop(self) -> None:
         """See `WorkerPool`. Also closes the connection to the cluster."""
         for actor in self._actors.values():
@@ -202,8 +209,8 @@ class RayPool:
                 del self._calls[call]
         for actor in self._actors.values():
             self._ray.kill(actor)
-        for _, mark in self._beginning.values():
-            mark.unlink(missing_ok=True)
+        for number in list(self._beginning):
+            self._forget_mark(number)
         self._ray.shutdown()
 
 

@@ -6,7 +6,7 @@ import dataclasses
 
 import torch
 
-from mjhab.core.errors import UsageError
+from mjhab.core.errors import UsageError, wrong_value
 from mjhab.core.files.reading import reason
 from mjhab.learning.configs import (
     ACT,
@@ -56,8 +56,16 @@ def check_student(config: StudentConfig, layout: ObservationSpec) -> None:
     """Refuse a config whose sizes do not fit together, or do not fit its images; takes no memory for the weights.
 
     Raises:
-        UsageError: the network cannot be made, or cannot act; or a checkpoint of it could not be read.
+        UsageError: the network cannot be made, or cannot act; a checkpoint of it could not be read; or it has a gate,
+            which training does not change.
     """
+    if config.network.routes:
+        raise wrong_value(
+            "network.routes",
+            config.network.routes,
+            "left out: no training fits a gate",
+            "`mjhab policy join` makes such students of trained ones; polish one with mjhab train ppo --start.",
+        )
     student_from_plain(to_plain(config))
     inputs = config.inputs
     channels = inputs.history * sum(layout.image_channels)

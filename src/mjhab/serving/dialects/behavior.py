@@ -13,10 +13,11 @@ import numpy as np
 
 from mjhab.serving.dialects.dialect import OWN, Ask, Incoming
 from mjhab.serving.dialects.parts import (
+    batch_of,
+    chunks_of,
     described,
     entry_of,
     mapping,
-    numbers_of,
     own_parts,
     present,
     stacked,
@@ -74,12 +75,7 @@ class Behavior:
             raise ProtocolError(f"actions are numbers, not {described(first)}") from error
         if numbers.ndim == 2:
             numbers = numbers[None]
-        numbers = numbers_of(numbers, 3)
-        if len(numbers) != batch:
-            raise ProtocolError(
-                f"the answer has actions for {len(numbers)} worlds, not {batch}"
-            )
-        return numbers
+        return chunks_of(numbers, batch)
 
     def read(self, message: Any) -> Incoming:
         request = mapping(message)
@@ -88,8 +84,7 @@ class Behavior:
         state = next(
             (value for key, value in request.items() if str(key).endswith(_PROPRIO)), None
         )
-        batch = len(state) if isinstance(state, np.ndarray) and state.ndim == 2 else None
-        return Incoming(False, request, batch)
+        return Incoming(False, request, batch_of(state))
 
     def answer(self, chunks: np.ndarray, incoming: Incoming, infer_ms: float) -> Any:
         actions = chunks if incoming.batch is not None else chunks[0]

@@ -12,7 +12,14 @@ from typing import Any, ClassVar
 import numpy as np
 
 from mjhab.serving.dialects.dialect import OWN, Ask, Incoming
-from mjhab.serving.dialects.parts import entry_of, mapping, numbers_of, own_parts, stacked
+from mjhab.serving.dialects.parts import (
+    batch_of,
+    chunks_of,
+    entry_of,
+    mapping,
+    own_parts,
+    stacked,
+)
 from mjhab.serving.packing import ProtocolError
 
 STATE = "observation.state"
@@ -61,20 +68,14 @@ class LeRobot:
         }
 
     def actions(self, answer: Any, batch: int) -> np.ndarray:
-        numbers = numbers_of(entry_of(answer, ACTION, self.name), 3)
-        if len(numbers) != batch:
-            raise ProtocolError(
-                f"the answer has actions for {len(numbers)} worlds, not {batch}"
-            )
-        return numbers
+        return chunks_of(entry_of(answer, ACTION, self.name), batch)
 
     def read(self, message: Any) -> Incoming:
         request = mapping(message)
         if "reset" in request:
             return Incoming(True)
         state = request.get(STATE)
-        batch = len(state) if isinstance(state, np.ndarray) and state.ndim == 2 else None
-        return Incoming(False, request, batch)
+        return Incoming(False, request, batch_of(state))
 
     def answer(self, chunks: np.ndarray, incoming: Incoming, infer_ms: float) -> Any:
         actions = chunks if incoming.batch is not None else chunks[0]

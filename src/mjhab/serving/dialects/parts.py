@@ -77,6 +77,25 @@ def numbers_of(value: Any, dimensions: int) -> np.ndarray:
     return numbers
 
 
+def chunks_of(value: Any, batch: int) -> np.ndarray:
+    """Chunks of actions (B, H, A) float32 for the worlds of a request.
+
+    Raises:
+        ProtocolError: they are no such numbers, or those of another number of worlds.
+    """
+    numbers = numbers_of(value, 3)
+    if len(numbers) != batch:
+        raise ProtocolError(
+            f"the answer has actions for {len(numbers)} worlds, not {batch}"
+        )
+    return numbers
+
+
+def batch_of(state: Any) -> int | None:
+    """Number of worlds of a request by its state (B, S); None for that of one world (S,)."""
+    return len(state) if isinstance(state, np.ndarray) and state.ndim == 2 else None
+
+
 def described(value: Any) -> str:
     """A part of a message in few words."""
     if isinstance(value, Mapping):

@@ -39,8 +39,10 @@ def _of_state(name: str) -> dict[str, str]:
         slides = any(word in column for word in _SLIDES)
         return {"unit": _OF_JOINTS[part][0 if slides else 1], "frame": "joint"}
     unit, frame = _PARTS.get(part, ("", ""))
+    # The parts hold a position and a quaternion in one, so the unit depends on the column.
     if column in _TURNS:
         unit = "quaternion, w first"
+    # The velocity of the base mixes m/s with one turn about z.
     if column == "yaw":
         unit = "rad/s"
     return {"unit": unit, "frame": frame}

@@ -22,6 +22,7 @@ def licence_head(licence: str) -> list[str]:
     names = {_name(part) for part in parts}
     if len(names) == 1 and (name := names.pop()):
         return [f"license: {name}"]
+    # The words stand in a quoted YAML string, which these signs would end.
     words = re.sub(r'["\n\\]', " ", licence) or "unknown"
     return ["license: other", f'license_name: "{words}"']
 

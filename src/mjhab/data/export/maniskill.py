@@ -91,6 +91,7 @@ def write_maniskill(
         UsageError, StorageError: no episode passes; the folder lies in a source; see ``whole_folder``.
         DamagedError: an episode is damaged, or holds numbers that are not finite.
     """
+    # An output inside the source would be read as a source by the next export.
     check_outside(request.places, request.out)
     found = select(request.places, request.where)
     if not found.matched:
@@ -162,10 +163,12 @@ class _File:
 
     def write(self, members: Sequence[Place], after: Callable[[], object] | None) -> None:
         """Write the episodes as trajectories 0, 1, ..., and the JSON file; ``after`` is called after each."""
+        # Files appear under their name once they are whole, so that this one needs only its JSON again.
         if self._path.exists():
             self._add_all(members, None, after)
         else:
             self._path.parent.mkdir(parents=True, exist_ok=True)
+            # A killed export left its file under a temporary name beside it.
             drop_unfinished(self._path.parent, self._path.stem)
             with new_file(self._path, {}) as file:
                 self._add_all(members, file, after)
@@ -183,6 +186,8 @@ class _File:
                 refuse_damage(episode)
                 steps = self._until.steps(episode.array("reward/success"))
                 if file is not None:
+                    # MS-HAB's scripts concatenate the state in the order of the file, and h5py sorts by name
+                    # without it.
                     group = file.create_group(f"{TRAJECTORY}{number}", track_order=True)
                     _put(group, episode, steps)
                     places = self._roots(episode.run, episode.record.home)
@@ -191,6 +196,7 @@ class _File:
                     told = infos(episode, steps + 1, places)
                     _put_tree(group, "info", told.items())
                 self._episodes.append(episode_info(number, episode, steps))
+                # Episodes of one run repeat its description, which the file holds once.
                 self._runs.setdefault(episode.run.id, vars(episode.run))
                 self.frames += steps
                 self.without_depth += not any(
@@ -212,6 +218,7 @@ def _put(group: h5py.Group, episode: RecordedEpisode, steps: int) -> None:
     _put_tree(group, "obs", _observations(episode, steps + 1))
     ends = np.zeros(steps, bool)
     ends[-1] = True
+    # An episode that is cut before its end was stopped by the export, not by the environment.
     terminated = episode.terminated and steps == episode.steps
     for name in ("actions", "actions_intended"):
         group[name] = _turned_hand(episode, episode.array(name)[:steps]).astype(
@@ -231,6 +238,7 @@ def _put_tree(
     group: h5py.Group, name: str, values: Iterable[tuple[str, np.ndarray]]
 ) -> None:
     """Write arrays by their paths into a group of that name, in order; images are compressed."""
+    # The group is made with the first array, so that an episode without such values leaves no empty group.
     top = None
     for key, array in values:
         *folders, last = key.split("/")
@@ -240,6 +248,7 @@ def _put_tree(
                 parent.create_group(folder, track_order=True)
             parent = subgroup(parent, folder)
         squeeze = (
+            # As ManiSkill's recorder does, which compresses images alone.
             {"compression": "gzip", "compression_opts": _GZIP}
             if folders[:1] == ["sensor_data"]
             else {}
@@ -251,6 +260,7 @@ def _turned_hand(episode: RecordedEpisode, actions: np.ndarray) -> np.ndarray:
     """Actions (T, A) with which ManiSkill's controller of the same name turns the hand as ours has."""
     if control_mode(episode) not in AS_MANISKILL:
         return actions
+    # Turns are composed as quaternions, which lose a digit in float32.
     turned = actions.astype(np.float64)
     turned[:, TURN_COLUMNS] = turns_for_maniskill(turned[:, TURN_COLUMNS])
     return turned
@@ -267,6 +277,7 @@ def _observations(
             values = to_scan_axes(values, yaws[:rows])
         yield (
             key,
+            # MS-HAB stores truths without an axis of columns.
             values.astype(bool).reshape(-1)
             if key.rpartition("/")[2] in TRUTHS
             else values,
@@ -275,7 +286,9 @@ def _observations(
         if path.startswith("obs/sensor_param/"):
             yield path.removeprefix("obs/"), episode.array(path)[:rows]
     for camera, output in sorted(
-        episode.images, key=lambda image: (not image[0].endswith("_head"), image)
+        # MS-HAB's networks stack the cameras in the order of the file: head first.
+        episode.images,
+        key=lambda image: (not image[0].endswith("_head"), image),
     ):
         frames = [episode.frame(camera, output, t) for t in range(rows)]
         yield f"sensor_data/{camera}/{output}", np.stack(frames)

@@ -36,6 +36,7 @@ def file_info(
         runs: of the trajectories, fields of `RunInfo` by name of the run; the first one stands for the environment.
         episodes: of `episode_info`.
     """
+    # Gymnasium ends episodes at this number, so that it must hold the longest trajectory.
     steps = max(each["elapsed_steps"] for each in episodes)
     return {
         "env_info": {
@@ -63,12 +64,14 @@ def _made_with(run: Mapping[str, Any], first: Mapping[str, Any]) -> dict[str, An
         "control_mode": first["control_mode"],
         "robot_uids": layout.get("robot", OLDER_ROBOT),
         "num_envs": 1,
+        # ManiSkill's replay makes the environment from these; a CPU is there on every machine.
         "sim_backend": "physx_cpu",
         "add_event_tracker_info": True,
     }
     if env.get("task"):
         kwargs["scene_builder_cls"] = dataset_name(env["task"], first["split"])
     sizes = {tuple(each["size"]) for each in layout.get("cameras", {}).values()}
+    # ManiSkill's sensor_configs sets one size for all cameras.
     if len(sizes) == 1:
         height, width = sizes.pop()
         kwargs["sensor_configs"] = {"width": width, "height": height}
@@ -84,6 +87,7 @@ def control_mode(episode: RecordedEpisode) -> str:
 
 def _axes_of(episode: RecordedEpisode) -> str:
     """Axes of the pose of the object in an exported episode."""
+    # Without the headings of the scans, poses cannot be turned and stay as they were recorded.
     is_ours = episode.conventions.object_axes == OBJECT_AXES
     return OBJECT_AXES if is_ours and episode.scan_yaws is None else SCAN_AXES
 
@@ -91,7 +95,9 @@ def _axes_of(episode: RecordedEpisode) -> str:
 def episode_info(number: int, episode: RecordedEpisode, steps: int) -> dict[str, Any]:
     """Metadata of the first ``steps`` control steps of an episode; labels are those of all of it."""
     record = episode.record
+    # What came after the cut is not in the trajectory.
     events = [event for event in _events(episode) if event[0] <= steps]
+    # MS-HAB names the articulation, not the link, and one file holds all its links.
     link = target_of(record).rpartition("/")[0]
     info = {
         "episode_id": number,
@@ -131,6 +137,7 @@ def episode_info(number: int, episode: RecordedEpisode, steps: int) -> dict[str,
         "success_once": record.success_once,
         "success_at_end": record.success_at_end,
         "fail": record.fail,
+        # Last, because it replaces the outcome of the whole episode.
         **(_outcome_at(episode, steps) if steps < episode.steps else {}),
     }
     # ManiSkill's readers filter by it: whether the episode is successful in the end.

@@ -75,6 +75,7 @@ def env_states(
     """
     layout = episode.run.layout
     columns = layout.get("columns", {})
+    # Imported episodes have no states, and runs of older versions no columns.
     if "states/qpos" not in episode.paths or not set(_NEEDED) <= set(columns):
         return {}
     q = episode.array("states/qpos")[:rows]
@@ -99,9 +100,11 @@ def env_states(
             signs = [notes.get(link, JointNote()).sign for link, _, _ in joints]
             at_q = [column for _, column, _ in joints]
             at_v = [column for _, _, column in joints]
+            # The number is that of the copy in the scene; MS-HAB's scenes have one of each.
             found[f"articulations/{name}-0"] = articulation_state(
                 np.array(roots[name].pose), q[:, at_q] * signs, v[:, at_v] * signs
             )
+    # Computed in float64 and rounded once, as torch tensors of ManiSkill are float32.
     return {name: values.astype(np.float32) for name, values in found.items()}
 
 
@@ -127,6 +130,7 @@ def actor_state(pose: Array, velocity: Array, scan_yaw: Array | float) -> Array:
             has those of free bodies.
         scan_yaw: (...) or one number, heading of the scan [rad].
     """
+    # MuJoCo gives the angular velocity of a free joint in the body's frame, ManiSkill wants the world's.
     turning = quat_rotate(pose[..., 3:], velocity[..., 3:])
     parts = [to_scan_axes(pose, scan_yaw), velocity[..., :3], turning]
     return namespace(pose).concat(parts, axis=-1)
@@ -154,9 +158,11 @@ def infos(
         return {}
     record = episode.record
     pointer = episode.array("subtasks/active")[:rows].astype(np.int64)
+    # The entry past the plan is what a finished world points at.
     kinds = np.array([number_of(entry.kind) for entry in record.plan] + [FINISHED])
     ended = [
         np.concatenate(
+            # Outcomes belong to actions and info to states: state 0 has no action before it.
             [[False], episode.array(f"reward/{name}")[: rows - 1].astype(bool)]
         )
         for name in ("success", "fail")
@@ -184,6 +190,7 @@ def infos(
         at = [other for other, _, _ in moving[furniture]].index(link)
         note = roots[furniture].joints[link]
         position = states[name][:, _POSE + _SPEED + at]
+        # A flipped sign turns the upper end into the lower one.
         ends = sorted((note.sign * note.low, note.sign * note.high))
         values = (position, *(np.full(rows, end, np.float32) for end in ends))
         found |= dict(zip(JOINT, values, strict=True))

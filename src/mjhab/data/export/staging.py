@@ -50,6 +50,7 @@ class ExportTarget:
     resume: bool = False
 
     def __post_init__(self) -> None:
+        # The temporary names are made from it, and ".." has no folder beside it.
         if self.out.name in ("", ".."):
             raise wrong_value(
                 "out",
@@ -60,6 +61,7 @@ class ExportTarget:
     @property
     def part(self) -> Path:
         """The temporary folder that is filled."""
+        # Beside the target, so that the rename stays on one file system.
         return self.out.with_name(f".{self.out.name}.part")
 
     @property
@@ -92,14 +94,17 @@ def whole_folder(target: ExportTarget, job: Mapping[str, Any]) -> Iterator[Stagi
     """
     target.out.parent.mkdir(parents=True, exist_ok=True)
     with WriteLock(target.out, target.out):
+        # A process died between the two renames of `_publish`; the old folder is the only whole one.
         if target.old.exists() and not target.out.exists():
             os.replace(target.old, target.out)
+        # Tuples become lists, as they will read back from the file that they are compared with.
         plain = json.loads(json.dumps({**job, "mjhab": __version__}))
         _check(target, plain)
         try:
             yield _begin(target, plain)
             _publish(target)
         except UsageError:
+            # A refused request fails again with the same parts: they are of no use to --resume.
             shutil.rmtree(target.part, ignore_errors=True)
             raise
         except (OSError, MjhabError) as error:
@@ -126,12 +131,14 @@ def _begin(target: ExportTarget, job: dict[str, Any]) -> StagingDir:
         for folder in (WHOLE, WORK):
             (part / folder).mkdir(parents=True)
         text = json.dumps(job, indent=2) + "\n"
+        # After the folders, because its presence says that there is something to continue.
         write_atomic(part / JOB, lambda path: path.write_text(text, encoding="utf-8"))
     return StagingDir(part / WHOLE, part / WORK)
 
 
 def _publish(target: ExportTarget) -> None:
     if target.out.exists():
+        # A folder with files cannot be replaced by rename, so the old one steps aside first.
         os.replace(target.out, target.old)
     os.replace(target.part / WHOLE, target.out)
     for left in (target.old, target.part):
@@ -147,6 +154,7 @@ def _check(target: ExportTarget, job: dict[str, Any]) -> None:
             raise fault(
                 out, "exists already; name another folder as --out, or give --overwrite."
             )
+        # An empty folder is nobody's data.
         foreign = target.foreign(out) if any(out.iterdir()) else ""
         if foreign:
             raise fault(

@@ -108,6 +108,7 @@ def import_ms_hab(
     try:
         with h5py.File(path, "r") as file, ShardWriter(shard) as writer:
             for metadata, index in zip(source.trajectories, indices, strict=True):
+                # Looked up before the arrays are read, so that a resumed import reads only what is new.
                 if writer.has(run, _seed(metadata), index):
                     present += 1
                 else:
@@ -117,6 +118,7 @@ def import_ms_hab(
                     frames += data.record.steps
                 if after is not None:
                     after()
+    # h5py raises at the first damaged chunk, which may be in the middle of the file.
     except UNREADABLE as error:
         raise fault(path, f"cannot be read as data of MS-HAB: {reason(error)}") from error
     return Imported(written, frames, present, shard)
@@ -171,6 +173,7 @@ class _Source:
             _task(path, origin),
             subtask,
             origin.split,
+            # The JSON is small and differs wherever episodes do; hashing the HDF5 would read GB.
             hashlib.sha256(text).hexdigest()[:16],
         )
 
@@ -214,6 +217,7 @@ class _Source:
         if not self.is_ours:
             return SCAN_AXES
         axes = {run.get("options", {}).get("object_axes", "") for run in self._runs()}
+        # Runs of one file that disagree cannot be told apart by episode.
         if len(axes) == 1 and axes <= {OBJECT_AXES, SCAN_AXES}:
             return str(axes.pop())
         is_scanned = all(
@@ -236,6 +240,7 @@ class _Source:
             known = {
                 name: value
                 for name, value in first.items()
+                # What the runs disagree on would be wrong for some of the episodes.
                 if all(name in env and env[name] == value for env in others)
             }
         else:
@@ -292,6 +297,7 @@ class _Source:
             )
         arrays, columns = trajectory_arrays(trajectory, self._turn(metadata, run))
         steps = len(arrays["actions"])
+        # A JSON beside another HDF5 has labels of other episodes.
         if steps != int(metadata["elapsed_steps"]) or steps < 1:
             raise fault(
                 self.path,
@@ -320,6 +326,7 @@ class _Source:
             return 0.0
         (shown,) = shown_objects((PlanEntry(self.subtask, self._target(metadata)),))
         yaw = float(run.layout.get(SCAN_YAWS, {}).get(shown, 0.0))
+        # The yaw leads from our axes to those of the scan.
         return yaw if want == SCAN_AXES else -yaw
 
     def _record(
@@ -329,7 +336,9 @@ class _Source:
         steps = len(arrays["actions"])
         events, force = from_verbose(metadata["events_verbose"], steps)
         label = metadata["label"] or None
+        # Recorded episodes round their forces so, and filters compare them.
         peak = round(max(force), 3)
+        # Summed in the order of the steps, so that the last bit is that of a recording.
         total = round(ordered_sum(force), 3)
         target = self._target(metadata)
         # MS-HAB's labels follow its published rules, which are mjhab's legacy labels.
@@ -361,6 +370,7 @@ class _Source:
             subtasks=(subtask,),
             success_once=subtask.success_once,
             success_at_end=subtask.success_at_end,
+            # MS-HAB ends an episode with its failure, so that it can only stand last.
             fail=bool(arrays["reward/fail"][-1]),
             steps=steps,
             completed=int(subtask.success_once),
@@ -404,6 +414,7 @@ def _check_file(path: Path) -> None:
 
 def _task(path: Path, origin: Origin) -> str:
     """The task of a file; MS-HAB names the folder above the subtask's folder after it."""
+    # Resolved, since a relative path may have no folder above.
     folder = path.resolve().parent.parent.name
     if origin.task is None and folder not in TASKS:
         raise fault(

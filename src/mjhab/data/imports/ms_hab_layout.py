@@ -151,6 +151,7 @@ def check_episode(number: int, metadata: Any) -> None:
     numbers += seeds if isinstance(seeds, list) else [seeds]
     for value in numbers:
         if (
+            # JSON's true is an int to Python.
             isinstance(value, bool)
             or not isinstance(value, int)
             or not 0 <= value <= MAX_COUNT
@@ -201,11 +202,14 @@ def to_verbose(events: Iterable[Event], force: Sequence[float]) -> list[list[Any
     for step, name in events:
         by_step.setdefault(step, []).append(_THEIRS.get(name, name))
     verbose: list[list[Any]] = []
+    # Events may come after the last force of a cut episode.
     for step in range(1, max((len(force), *by_step)) + 1):
         verbose += [[step - 1, name, None] for name in by_step.get(step, ())]
         value = force[step - 1] if step <= len(force) else 0.0
+        # MS-HAB lists steps with contact only.
         if value <= 0:
             continue
+        # MS-HAB grows one entry until another event comes between, and its labels count entries.
         if verbose and verbose[-1][1] == COLLISION:
             verbose[-1][0].append(step - 1)
             verbose[-1][2].append(value)
@@ -225,6 +229,7 @@ def from_verbose(
             events.append((int(step) + 1, _OURS.get(str(name), str(name))))
             continue
         for at, value in zip(step, values, strict=True):
+            # A negative step would write to the end of the list without an error.
             if not 0 <= at < steps:
                 raise ValueError(f"a force in step {at} of {steps}")
             force[int(at)] = float(value)

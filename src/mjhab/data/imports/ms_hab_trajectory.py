@@ -29,6 +29,7 @@ def trajectory_arrays(
     steps = len(actions)
     parts = _state_parts(trajectory)
     if OBJECT_POSE in parts:
+        # Before the parts are joined: afterwards the columns have no names.
         parts[OBJECT_POSE] = to_scan_axes(parts[OBJECT_POSE], turn)
     arrays = {
         "actions": actions,
@@ -47,6 +48,7 @@ def trajectory_arrays(
         if name in trajectory
     }
     arrays |= {"actions_intended": actions, "actor": np.zeros(steps, np.uint8)}
+    # Exports of mjhab have both, and then the recorded ones win.
     arrays |= recorded
     arrays |= _camera_arrays(trajectory)
     return arrays, {
@@ -65,6 +67,7 @@ def _state_parts(trajectory: h5py.Group) -> dict[str, np.ndarray]:
         for name in members:
             values = _rows(members, str(name)).astype(np.float32)
             values = values.reshape(len(values), -1)
+            # SAPIEN gives either sign of a quaternion, and networks would see jumps.
             if POSE.search(str(name)) and values.shape[1] == 7:
                 values[:, 3:] = quat_canonical(values[:, 3:])
             parts[f"{folder}/{name}"] = values
@@ -82,6 +85,7 @@ def _camera_arrays(trajectory: h5py.Group) -> dict[str, np.ndarray]:
         if folder != _CAMERAS:
             continue
         output = rest.rpartition("/")[2]
+        # Shards hold encoded images alone, so that one reader serves recorded and imported episodes.
         files = [encode(frame, output, ImageFormat()) for frame in _rows(obs, path)]
         arrays[f"images/{rest}/bytes"] = np.frombuffer(b"".join(files), np.uint8)
         arrays[f"images/{rest}/ends"] = np.cumsum(
@@ -104,6 +108,7 @@ def _rows(parent: h5py.Group, path: str) -> np.ndarray:
         ValueError: it has no rows, or they are not numbers.
     """
     array = content(dataset(parent, path))
+    # h5py also returns strings, references and compound rows from a damaged file.
     if not array.ndim or not len(array) or array.dtype.kind not in "biuf":
         raise ValueError(
             f"{path} must be rows of numbers, not {array.dtype} {array.shape}"

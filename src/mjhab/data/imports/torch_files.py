@@ -30,6 +30,7 @@ def read_torch(path: Path, what: str, remedy: str) -> Any:
         # Torch warns of files that it then refuses, and its errors advise to load them with weights_only=False.
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
+            # A checkpoint from the internet must not run code, and may name a GPU that is not here.
             return torch.load(path, map_location="cpu", weights_only=True)
     except pickle.UnpicklingError as error:
         needed = _unsafe_names(path)

@@ -28,6 +28,7 @@ def batches(
     Raises:
         UsageError: no episode passes the filter, or one has no states.
     """
+    # Grouped, because an environment takes seconds to make and serves one configuration.
     groups: dict[str, list[EpisodeEntry]] = defaultdict(list)
     for entry in entries(places, copies=True):
         if where is None or where(entry.record, entry.run):
@@ -35,6 +36,7 @@ def batches(
     if not groups:
         raise nothing_passes()
     for members in groups.values():
+        # Before the environment is made, which costs seconds.
         require_states(members)
         env = make_env(members[0].run)
         for start in range(0, len(members), env.num_envs):

@@ -95,6 +95,7 @@ def _fill(
         while not run.finished and not stopped():
             run.step()
     finally:
+        # Also after an error: workers left alone would go on writing into the folder.
         pool.stop()
     return run.standing(final=True)
 
@@ -124,7 +125,9 @@ class _Run:
         self.job = job
         self.pool = pool
         self.tell = tell
+        # One file per episode: workers and a killed coordinator never share an open file.
         self.files = EpisodeFiles(job.out / EPISODE_FOLDER)
+        # The first worker that is ready tells the targets.
         self.quotas = Quotas((), job.per_target, job.per_label)
         self.configs: set[str] = set()
         self.promised: set[int] = set()
@@ -139,6 +142,7 @@ class _Run:
 
     def _take_stock(self) -> None:
         """Load the episodes of earlier runs."""
+        # Earlier workers are dead, so that no temporary file has a writer.
         drop_unfinished(self.files.folder)
         for entry in self._stored():
             self.configs.add(entry.run.config_id)
@@ -159,10 +163,12 @@ class _Run:
     @property
     def finished(self) -> bool:
         """Whether all episodes to keep are on the disk and no further one can be kept."""
+        # The quotas count decisions, so that they may be full while an episode is still unwritten.
         if self.promised or any(
             keep for member in self.members.values() for keep in member.decided.values()
         ):
             return False
+        # A full quota does not wait for running episodes, as none of them can be kept.
         return self.quotas.full or (
             self._none_left and not any(m.open or m.held for m in self.members.values())
         )
@@ -176,10 +182,13 @@ class _Run:
     def step(self) -> None:
         """Send requests to idle workers and process new messages."""
         for number in range(self.job.workers if not self.members else 0):
+            # All at once at the first step: workers take seconds to make their environment.
             self._start(number, 0)
         for number, member in self.members.items():
+            # A worker takes one request at a time, so that its death loses a known set of indices.
             if member.ready and not member.busy:
                 self._assign(number, member)
+        # The wait is short so that ``stopped`` is asked several times per second.
         found = self.pool.messages(PATIENCE)
         for number, message in found:
             self._hear(number, message)
@@ -189,11 +198,14 @@ class _Run:
 
     def _assign(self, number: int, member: _Member) -> None:
         indices = self._next_indices()
+        # Decisions go out even when there is nothing to roll out: the worker holds their arrays in memory.
         if not indices and not member.decided:
             return
+        # Told with the request, so that most episodes are written at once and not held back.
         guaranteed = self.quotas.guaranteed(max(indices, default=0))
         request = Request(
             tuple(indices),
+            # They were decided once, and must be kept although the quota counts them already.
             frozenset(self.promised.intersection(indices)),
             guaranteed,
             dict(member.decided),
@@ -211,6 +223,7 @@ class _Run:
             # Of the lost episodes only the promised ones, which the quotas count, are still needed.
             self.again = sorted(self.promised.intersection(self.again))
         while len(indices) < self.job.chunk and self.again:
+            # Lost episodes first and the lowest of them, since decisions wait for lower indices.
             indices.append(heapq.heappop(self.again))
         while (
             len(indices) < self.job.chunk and not self.quotas.full and not self._none_left
@@ -224,6 +237,7 @@ class _Run:
         match message:
             case WorkerReady(run, targets):
                 assert run is not None, "a worker that records tells its run"
+                # Checked when the first worker is ready, as only it knows the versions of what it has loaded.
                 if self.configs - {run.config_id}:
                     raise fault(
                         self.job.out,
@@ -235,6 +249,7 @@ class _Run:
                 member.ready = True
                 member.busy = False
             case EpisodeDone(outcome, stored, error):
+                # Only deaths in a row count: a machine short of memory kills now and then.
                 member.deaths = 0
                 self._take(member, outcome, stored, error)
             case EpisodeStored(index):
@@ -243,6 +258,7 @@ class _Run:
                 member.busy = False
             case WorkerFailed(kind, text):
                 if kind == "storage":
+                    # A full disk fails for all workers, so that none is started again.
                     raise StorageError(f"{text} Continue with `mjhab generate --resume`.")
                 raise (
                     UsageError(text)
@@ -259,6 +275,7 @@ class _Run:
     ) -> None:
         index = outcome.index
         member.open.discard(index)
+        # None leaves the decision to the rule; what is on the disk is kept.
         self.quotas.report(outcome, True if stored else None)
         if stored:
             self.promised.discard(index)
@@ -268,6 +285,7 @@ class _Run:
         elif error:
             # It is not logged as tried: what the policy would do in it is not known.
             self.errors[error] += 1
+            # No worker will make it, and a run that waited for it would never end.
             self.promised.discard(index)
         else:
             self._log(outcome)
@@ -283,9 +301,11 @@ class _Run:
         for index in sorted(member.open | decided) if self.run else ():
             assert self.run is not None
             path = self.files.path_of(self.run.episode_name(self.job.spec.seed, index))
+            # Episode files are renamed into place, so that one that exists is whole.
             if not path.exists():
                 continue
             if index in member.open:
+                # The message that told its outcome died with the worker, but the file holds the record.
                 with open_shard(path) as shard:
                     record = next(iter(shard)).record
                 self._take(member, outcome_of(record, True), True)
@@ -294,14 +314,17 @@ class _Run:
 
     def _bury(self, number: int, member: _Member) -> None:
         """Handle a dead worker: its unwritten episodes go to other workers, and it is started again."""
+        # First, so that nothing on the disk is simulated again.
         self._reclaim(member)
         lost = set(member.open)
         for index in member.held:
+            # Undecided ones are open again; those decided to be dropped need no data.
             if self.quotas.forget(index):
                 lost.add(index)
             elif member.decided.get(index):
                 lost.add(index)
                 self.promised.add(index)
+        # A heap, because they go out by lowest index.
         for index in lost:
             heapq.heappush(self.again, index)
         if member.deaths + 1 >= MOST_DEATHS:
@@ -314,20 +337,24 @@ class _Run:
     def _decide(self) -> None:
         for index, keep in self.quotas.decide().items():
             for member in self.members.values():
+                # The quotas do not know which worker holds an episode.
                 if index in member.held:
                     member.decided[index] = keep
             if not keep:
                 self._log(self.quotas.outcomes[index])
 
     def _log(self, outcome: Outcome) -> None:
+        # A line per episode and no rewriting: after a kill only the last line can be incomplete.
         with open(self.job.out / TRIED, "a", encoding="utf-8") as file:
             file.write(json.dumps(outcome.to_dict(), separators=(",", ":")) + "\n")
 
     def standing(self, final: bool = False) -> Standing:
         """Progress of the job; if ``final``, counted from the files on the disk."""
         outcomes = self.quotas.outcomes.values()
+        # 0 without a quota, and then no total can be told.
         wanted = self.job.per_target * len(self.quotas.targets)
         passed = sum(outcome.passes for outcome in outcomes)
+        # Counting files reads every header; while it runs, the counters are enough.
         if not final:
             return Standing(
                 self.written,
@@ -339,6 +366,7 @@ class _Run:
             )
         stored = self._stored()
         labels = Counter(last_label(entry.record) for entry in stored)
+        # A set, because packed shards hold many episodes in a file.
         size = sum(path.stat().st_size for path in {entry.path for entry in stored})
         # Episodes written after the last processed message count as well.
         written = len(stored) - self.before

@@ -69,6 +69,7 @@ class Standing:
 
 
 def has_episodes(folder: Path) -> bool:
+    # A writer's unfinished files have a dot before their names.
     return any(not path.name.startswith(".") for path in folder.rglob("*.h5"))
 
 
@@ -83,10 +84,12 @@ def read_tried(path: Path) -> list[Outcome]:
     if not path.exists():
         return []
     try:
+        # Kept, because the missing end of the last line is what shows a kill.
         lines = read_bytes(path).decode("utf-8").splitlines(keepends=True)
     except UnicodeDecodeError as error:
         raise fault(path, f"damaged ({reason(error)}); choose another --out.") from error
     whole = [line for line in lines if line.endswith("\n")]
+    # Else the next append would continue the torn line.
     if whole != lines:
         write_atomic(
             path, lambda temporary: temporary.write_text("".join(whole), encoding="utf-8")

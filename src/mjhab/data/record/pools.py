@@ -12,6 +12,7 @@ from typing import Any, Protocol
 from mjhab.data.record.messages import Message, Request, WorkerExited, failure
 from mjhab.data.record.workers import Stopped, Work, WorkSpec
 
+# Short enough that Ctrl-C is answered at once, long enough that waiting takes no CPU time.
 PATIENCE = 0.2
 """Longest time to wait for messages before checking whether to stop [s]."""
 _LONGEST_STOP = 15.0
@@ -42,6 +43,7 @@ class ProcessPool:
     """Workers as spawned processes of this machine, connected by pipes."""
 
     def __init__(self) -> None:
+        # A forked child has the locks of this process's threads, and not the threads that would release them.
         self._context = multiprocessing.get_context("spawn")
         self._members: dict[int, tuple[Any, Connection]] = {}
 
@@ -49,7 +51,10 @@ class ProcessPool:
         """See `WorkerPool`."""
         ours, theirs = self._context.Pipe()
         process = self._context.Process(
-            target=_serve, args=(theirs, spec, folder), daemon=True
+            # A daemon dies with its parent, so that a crashed coordinator leaves no workers.
+            target=_serve,
+            args=(theirs, spec, folder),
+            daemon=True,
         )
         process.start()
         # Only the worker holds its end of the pipe now, so the pipe ends when the worker dies.
@@ -70,6 +75,7 @@ class ProcessPool:
             assert isinstance(pipe, Connection)
             try:
                 found.append((pipes[pipe], pipe.recv()))
+            # A killed process closes its pipe, which reads as the end of the file.
             except (EOFError, OSError):
                 self._leave(pipes[pipe])
                 found.append((pipes[pipe], WorkerExited()))
@@ -78,6 +84,7 @@ class ProcessPool:
     def _leave(self, number: int) -> None:
         process, pipe = self._members.pop(number)
         pipe.close()
+        # A worker notices the closed pipe only after its control step or reset.
         process.join(_LONGEST_STOP)
         if process.is_alive():
             process.kill()
@@ -85,6 +92,7 @@ class ProcessPool:
 
     def stop(self) -> None:
         """See `WorkerPool`."""
+        # All pipes are closed before the first wait, so that workers stop side by side.
         for _, pipe in self._members.values():
             # A worker stops when its pipe is closed.
             pipe.close()
@@ -112,6 +120,7 @@ class InlinePool:
                 request, lambda message: self._said.append((number, message)), bool
             )
         except Exception as error:
+            # As a process would report it, so that the coordinator has one path for errors.
             self._said.append((number, failure(error)))
 
     def messages(self, seconds: float) -> list[tuple[int, Message]]:
@@ -143,6 +152,7 @@ def _serve(pipe: Connection, spec: WorkSpec, folder: Path) -> None:
         worker = spec.start(folder)
         tell(worker.ready)
         while (request := _next(pipe)) is not None:
+            # Within a request the pipe is silent: whatever comes is its end, and asks to stop.
             worker.run(request, tell, pipe.poll)
     except Stopped:
         pass

@@ -22,6 +22,7 @@ from mjhab.data.record.worlds import RecordedEnv, Views
 from mjhab.data.store.episode_data import RunInfo
 from mjhab.data.store.run_entries import ACTION_TABLE, SCAN_YAWS
 
+# Those whose version may change a bit of a state or of a file.
 _LIBRARIES = ("mujoco", "mujoco-warp", "numpy", "h5py")
 _FREE = frozenset(
     {
@@ -84,11 +85,13 @@ def describe_run(
         },
         "policy": dict(policy),
     }
+    # Other environments leave the seed out of the identity, because each episode has its own.
     if getattr(env.config, "trains", False):
         # The start states come from a pool that depends on the environment's seed.
         config["env"]["seed"] = options["seed"]
         config["maker"] = TRAIN_MAKER
     layout = env.layout
+    # All homes of a run have the same sizes, so that any world tells them.
     first = env.sim.get_world(0)
     return RunInfo(
         config=config,
@@ -107,7 +110,9 @@ def describe_run(
             "columns": _columns(env.sim.addresses),
             "robot": layout.robot.name,
             "joints": [
-                joint.removesuffix("_joint") for joint in layout.robot.joints[BASE.stop :]
+                # Observed positions of joints leave out the base.
+                joint.removesuffix("_joint")
+                for joint in layout.robot.joints[BASE.stop :]
             ],
             "actions": [entry.name for entry in env.action_table],
             ACTION_TABLE: [dict(vars(entry)) for entry in env.action_table],
@@ -148,6 +153,7 @@ def versions() -> dict[str, str]:
     for name in _LIBRARIES:
         try:
             found[name] = version(name)
+        # The GPU backend is an extra.
         except PackageNotFoundError:
             continue
     return found
@@ -164,7 +170,12 @@ def source_commit() -> str:
     def git(*words: str) -> str:
         words = ("git", "-C", str(folder), *words)
         done = subprocess.run(
-            words, capture_output=True, text=True, timeout=10, check=True
+            # A git that waits for a lock or a network folder must not hold up a recording.
+            words,
+            capture_output=True,
+            text=True,
+            timeout=10,
+            check=True,
         )
         return done.stdout.strip()
 
@@ -193,6 +204,7 @@ def model_hash(model: Any) -> str:
         value = None if name.startswith("_") else getattr(model, name)
         if isinstance(value, np.ndarray):
             digest.update(
+                # The shape tells apart arrays whose bytes are equal.
                 f"{name}{value.shape}".encode() + np.ascontiguousarray(value).tobytes()
             )
         elif isinstance(value, bytes | int | float):

@@ -15,6 +15,7 @@ from typing import Any
 
 from mjhab.core.errors import wrong_value
 
+# An integer and not infinity: it is compared with and subtracted from counts.
 _NONE = 1 << 62
 
 
@@ -48,7 +49,9 @@ class Outcome:
         types = {"index": int, "target": str, "label": str, "passes": bool}
         given = {"skipped_homes": [], **fields} if isinstance(fields, dict) else {}
         skipped = given.pop("skipped_homes", None)
+        # An exact match, since a line of another version would be counted wrongly.
         fits = given.keys() == types.keys() and isinstance(skipped, list)
+        # `type` and not isinstance: JSON's true is an int to Python.
         if not fits or any(type(given[name]) is not kind for name, kind in types.items()):
             raise ValueError(f"no outcome of an episode: {str(fields)[:60]!r}")
         return cls(**given, skipped_homes=tuple(str(home) for home in skipped))
@@ -93,6 +96,7 @@ class Quotas:
         self._per_label = per_label or _NONE
         self._kept: dict[tuple[str, str | None], list[int]] = defaultdict(list)
         self._waiting: dict[int, Outcome] = {}
+        # All indices below it are reported; the set beyond it stays as small as the disorder of the workers.
         self._frontier = 0
         self._beyond = set[int]()
         self.outcomes: dict[int, Outcome] = {}
@@ -121,6 +125,7 @@ class Quotas:
     @property
     def full(self) -> bool:
         """Whether the quota of every target is full, so that no open index can be kept."""
+        # Before the first worker is ready no target is known, and nothing is full.
         return bool(self.targets) and all(
             self.count(target) >= self._per_target for target in self.targets
         )
@@ -150,9 +155,11 @@ class Quotas:
         """Reopen an undecided index whose data were lost; returns whether it was undecided."""
         if self._waiting.pop(index, None) is None:
             return False
+        # A lost index counts as never tried, since it will be simulated again.
         del self.outcomes[index]
         self._beyond.discard(index)
         if index < self._frontier:
+            # The frontier moves back, and what lay between stays reported.
             self._beyond.update(range(index + 1, self._frontier))
             self._frontier = index
         return True
@@ -160,13 +167,16 @@ class Quotas:
     def would_drop(self, outcome: Outcome) -> bool:
         """Whether kept episodes with lower indices already fill the quota."""
         low, label_low = (
-            bisect_left(self._kept[key], outcome.index) for key in _keys(outcome)
+            # Only lower indices count: this makes the choice independent of who finishes first.
+            bisect_left(self._kept[key], outcome.index)
+            for key in _keys(outcome)
         )
         return low >= self._per_target or label_low >= self._per_label
 
     def decide(self) -> dict[int, bool]:
         """Decide on all episodes that can be decided now; returns whether to keep them, by index."""
         decided: dict[int, bool] = {}
+        # Ascending, because each decision may fill the quota for those after it.
         for index in sorted(self._waiting):
             outcome = self._waiting[index]
             if self.would_drop(outcome):
@@ -181,6 +191,7 @@ class Quotas:
 
     def guaranteed(self, last: int) -> GuaranteedTargets:
         """Targets for which every open episode up to index ``last`` is kept if it passes."""
+        # Every open index below may still take a place of any target.
         unknown = self._open_below(last + 1)
         default = unknown <= min(self._per_target, self._per_label)
         waiting = Counter(
@@ -204,6 +215,7 @@ class Quotas:
 
     def _keep(self, outcome: Outcome) -> None:
         for key in _keys(outcome):
+            # Sorted, so that those below an index are counted by bisection.
             insort(self._kept[key], outcome.index)
 
     def _open_below(self, index: int) -> int:

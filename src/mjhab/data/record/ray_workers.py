@@ -64,6 +64,7 @@ def check_node(theirs: Mapping[str, str], folder: Path) -> None:
                 "would depend on who made them. Install the same mjhab and libraries on all nodes, on processors of "
                 "one kind."
             )
+    # Episodes are written by the nodes, so that a local folder there would be lost.
     if theirs[FOLDER] != str(True):
         raise UsageError(
             f"node {theirs['node']} of the Ray cluster does not see {folder}: give an --out in a folder that all nodes "
@@ -80,6 +81,7 @@ class _Actor:
 
     def identity(self, mark: Path) -> dict[str, str]:
         """What runs on this node, see `node_identity`, and whether it sees the file ``mark``."""
+        # Texts alone, which every version of Python can unpickle.
         return {**node_identity(), "node": platform.node(), FOLDER: str(mark.is_file())}
 
     def begin(self, spec: WorkSpec, folder: Path) -> list[Message]:
@@ -96,6 +98,7 @@ class _Actor:
         said: list[Message] = []
         try:
             self._worker.run(request, said.append, self._stop.is_set)
+        # What it had said so far still holds: those episodes are on the disk.
         except Stopped:
             pass
         except Exception as error:
@@ -127,6 +130,7 @@ class RayPool:
         try:
             ray.init(
                 address=None if address == LOCAL else address,
+                # Lines of the nodes would run through the progress display.
                 log_to_driver=False,
                 configure_logging=False,
             )
@@ -146,6 +150,7 @@ class RayPool:
         # Workers may have another current directory.
         folder = folder.resolve()
         folder.mkdir(parents=True, exist_ok=True)
+        # A name of its own, so that a folder of the same path on a node's own disk is told apart.
         mark = folder / f".{uuid.uuid4().hex}"
         mark.touch()
         self._actors[number] = self._class.remote()
@@ -159,6 +164,7 @@ class RayPool:
 
     def messages(self, seconds: float) -> list[tuple[int, Message]]:
         """See `WorkerPool`."""
+        # One at a time, since Ray would wait for all of a larger number.
         ready, _ = self._ray.wait(list(self._calls), num_returns=1, timeout=seconds)
         found: list[tuple[int, Message]] = []
         for call in ready:
@@ -169,6 +175,7 @@ class RayPool:
                     said = self._greet(number, said)
                 found += [(number, message) for message in said]
             except self._ray.exceptions.RayActorError:
+                # The file is no episode and would stay in the folder for good.
                 self._forget_mark(number)
                 # The process may still run on a node that cannot be reached.
                 with contextlib.suppress(self._ray.exceptions.RayError):
@@ -199,8 +206,10 @@ class RayPool:
         """See `WorkerPool`. Also closes the connection to the cluster."""
         for actor in self._actors.values():
             with contextlib.suppress(self._ray.exceptions.RayError):
+                # Nobody waits for the answer: the second thread sets the event at once.
                 actor.stop.remote()
         end = time.monotonic() + _LONGEST_STOP
+        # Requests end after their control step, and their files are then whole.
         while self._calls and time.monotonic() < end:
             ready, _ = self._ray.wait(
                 list(self._calls), num_returns=1, timeout=_LONGEST_STOP
@@ -221,9 +230,11 @@ def _check_reachable(address: str) -> None:
         UsageError: no server listens at the "host:port" or "ray://host:port".
     """
     host, _, port = address.rpartition("://")[2].rpartition(":")
+    # "local", "auto" and others are not addresses to knock at.
     if not host or not port.isdigit():
         return
     try:
+        # A refused connection fails in milliseconds here.
         socket.create_connection((host, int(port)), _LONGEST_CALL).close()
     except OSError as error:
         raise UsageError(

@@ -61,6 +61,7 @@ class Recorder(Sink[RecordedEnv]):
         images: ImageFormat | None = None,
         licence: str = "",
     ) -> None:
+        # Stacked or joined observations cannot be taken apart into the columns of the schema.
         if not env.config.has_flat_keys:
             raise UsageError(
                 "recording needs flat observation keys and the parts of the state: leave out obs_keys, or give 'flat'."
@@ -79,11 +80,13 @@ class Recorder(Sink[RecordedEnv]):
         self, env: RecordedEnv, info: Mapping[str, Any], mask: np.ndarray
     ) -> None:
         """Start buffers with the first states of the worlds in ``mask``."""
+        # A sink is told of a reset without its observations.
         obs = env.observer.observe(env.state, env.focus, env.signals, env.homes)
         checks, forces = signal_rows(env.signals)
         for w in np.flatnonzero(mask).tolist():
             buffer = _Buffer(env.get_state(w), len(info["episode_spec"][w]["plan"]))
             buffer.wordings = env.wordings(w)
+            # Labels compare each state with the one before, so that row 0 must be the start.
             buffer.enter(0, int(info["pointer"][w]), checks[w])
             buffer.add_state(self._physics(env, w), checks[w], forces[w], info, w)
             buffer.add_obs(obs, w, self._images)
@@ -91,7 +94,9 @@ class Recorder(Sink[RecordedEnv]):
 
     def on_step(self, env: RecordedEnv, step: StepView) -> None:
         """Add one action and one state to the buffer of every running episode."""
+        # Those of the subtask that was active in the step; the pointer may have moved on since.
         checks, forces = signal_rows(env.outcome_signals)
+        # The next subtask begins with signals of its own target.
         begun, _ = signal_rows(env.signals)
         terms = dict(step.info.get("reward_terms", {}))
         for w in np.flatnonzero(step.active).tolist():
@@ -103,6 +108,7 @@ class Recorder(Sink[RecordedEnv]):
             now = int(step.info["pointer"][w])
             buffer.add_state(self._physics(env, w), checks[w], forces[w], step.info, w)
             buffer.add_obs(step.obs, w, self._images)
+            # At the plan's end the pointer is one past the last subtask, and none begins.
             if now != before and now < buffer.length:
                 buffer.enter(int(step.steps[w]), now, begun[w])
 
@@ -115,8 +121,10 @@ class Recorder(Sink[RecordedEnv]):
         buffer = self._open.pop(world)
         self.seen += 1
         self.labels[last_label(record)] += 1
+        # Before arrays are stacked: dropped episodes should cost nothing.
         if self._keep is not None and not self._keep(record, self.run):
             return
+        # Hashing a model reads some MB of arrays, and a home's model does not change within a run.
         if record.home not in self._models:
             self._models[record.home] = model_hash(env.sim.model(record.home))
         columns = {
@@ -204,12 +212,14 @@ class _Buffer:
         """Add the observation of a state of ``world``; parts that ``state`` already contains are not stored twice."""
         if not self._parts:
             self._parts = joined_parts(obs)
+        # Copied, because environments reuse their arrays.
         self._put(f"obs/{STATE}", obs[STATE][world].copy())
         for key, values in obs.items():
             if key.startswith(_IMAGE):
                 if images is not None:
                     output = key.rsplit("/", 1)[1]
                     self._files.setdefault(key.removeprefix(_IMAGE), []).append(
+                        # Encoded at once, because raw frames of many worlds would not fit in memory.
                         encode(values[world], output, images)
                     )
             elif key != STATE and key not in self._parts:
@@ -242,6 +252,7 @@ class _Buffer:
         told = Annotations.of(self._doing, self.wordings)
         if told:
             arrays[ANNOTATIONS] = told.array
+        # A chain's subtasks have different terms, and those that were not active count as 0.
         names = self._term_names()
         if names:
             arrays["reward/terms"] = np.array(
@@ -264,6 +275,7 @@ def signal_rows(signals: Any) -> tuple[np.ndarray, np.ndarray]:
 def joined_parts(obs: Mapping[str, np.ndarray]) -> dict[str, int]:
     """Observations that ``state`` concatenates, in order, with their widths; empty if it is not a concatenation."""
     parts = {
+        # float32 of two axes is what observers join; images and truths have other types.
         key: v.shape[1]
         for key, v in obs.items()
         if key != STATE and v.ndim == 2 and v.dtype == np.float32
@@ -271,12 +283,14 @@ def joined_parts(obs: Mapping[str, np.ndarray]) -> dict[str, int]:
     if not parts or sum(parts.values()) != obs[STATE].shape[1]:
         return {}
     joined = np.concatenate([obs[key] for key in parts], axis=1)
+    # Equal sizes prove nothing: the order may differ.
     return parts if np.array_equal(joined, obs[STATE], equal_nan=True) else {}
 
 
 def _ending(env: RecordedEnv, world: int) -> str:
     if not env.progress.done[world]:
         return "cut"
+    # Such episodes go on after success and failure, so that neither ended them.
     if env.config.runs_to_horizon:
         return "timeout"
     if env.success[world]:

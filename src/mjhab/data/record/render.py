@@ -80,6 +80,7 @@ def render(
     try:
         return _render(request, make_env, tell)
     except UsageError:
+        # A request that is refused at its first episode leaves no file behind.
         if is_new and _is_empty(request.out):
             request.out.unlink()
         raise
@@ -99,10 +100,12 @@ def _render(
     written = frames = size = present = 0
     out = request.out
     follow = FOLLOW in (request.cameras or ())
+    # Read before the writer locks and changes the file.
     before = _rendered_options(out)
     with ShardWriter(out) as writer:
         for env, batch in batches(request.places, make_env, request.where):
             for episode in batch:
+                # The shard is replaced at the end, so that its own episodes would be lost.
                 if episode.shard.path.resolve() == out.resolve():
                     raise wrong_value(
                         "out", str(out), "a new file, not one of the shards to replay"
@@ -125,6 +128,7 @@ def _render(
 
 def _rendered_options(shard: Path) -> dict[str, Mapping[str, Any]]:
     """How the images of every episode of a shard were rendered; empty if they were not, or there is no shard."""
+    # A killed call has left parts and no shard yet.
     if not shard.exists() and not part_folder(shard).is_dir():
         return {}
     return {
@@ -181,6 +185,7 @@ def _draw(
     looks = {*TARGET_OUTPUTS} & {*env.observer.outputs}
     target = targets_in_base(episode) if looks else None
     for start in range(0, len(qpos), env.num_envs):
+        # The last batch repeats its last state to fill all worlds.
         steps = np.minimum(np.arange(start, start + env.num_envs), len(qpos) - 1)
         worlds = list(range(min(env.num_envs, len(qpos) - start)))
         # Images depend on positions only, so the worlds are set to the states and not stepped.
@@ -219,6 +224,7 @@ def _moments(
     perturber = env.observer.perturber if record.perturbation else None
     if perturber is None:
         return ()
+    # Perturbations are drawn from the identity of the episode, so that they come out as recorded.
     first = perturber.moment(record.seed, record.index, 0)
     return ([first._replace(step=int(step)) for step in steps],)
 
@@ -235,6 +241,7 @@ def _with_images(
     arrays = {path: values for path, values in stored.items() if path != "record"}
     size = tuple(env.observer.size)
     for camera, output in episode.images:
+        # The new calibration of a camera tells one size for all its outputs.
         if camera in cameras and episode.frame(camera, output, 0).shape[:2] != size:
             arrays = {
                 path: a

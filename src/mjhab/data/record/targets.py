@@ -18,6 +18,7 @@ def state_columns(episode: RecordedEpisode, key: str) -> slice | None:
     for name, width in episode.columns("obs/state").items():
         if name == key:
             return slice(at, at + width)
+        # 0 stands for a plain column, see `RecordedEpisode.columns`.
         at += width or 1
     return None
 

@@ -110,6 +110,7 @@ class _Comparison:
 
     def compare(self, t: int, state: Mapping[str, np.ndarray], digest: str) -> None:
         """Compare state ``t``."""
+        # An earlier difference says more than the hash of the end.
         if t == self.steps and digest != self.final and not self.problem:
             self.problem = "the last state is another one"
         if self.states is None:
@@ -119,6 +120,7 @@ class _Comparison:
                 continue
             if not self.problem or self.problem.startswith("the last"):
                 self.problem = f"{name} differs from state {t} of {self.steps} on"
+            # A diverged state holds inf, and inf - inf is told as inf below.
             with np.errstate(invalid="ignore"):
                 error = (
                     float(np.abs(state[name] - rows[t]).max())
@@ -129,6 +131,7 @@ class _Comparison:
 
 
 def _same_bits(a: np.ndarray, b: np.ndarray) -> bool:
+    # Bytes, since == takes -0.0 for 0.0 and no nan for itself.
     return a.dtype == b.dtype and a.shape == b.shape and a.tobytes() == b.tobytes()
 
 
@@ -142,7 +145,9 @@ def _verify_batch(
     """
     compared = [_Comparison(episode) for episode in batch]
     for episode, one in zip(batch, compared, strict=True):
+        # A longer row would be broadcast or cut without an error.
         one.refuse_other_shapes(episode, len(env.action_table))
+    # Start states may differ where homes were changed since; the physics is compared all the same.
     moved = _begin(env, batch, compared)
     longest = max(one.steps for one in compared)
     actions = np.zeros((env.num_envs, compared[0].actions.shape[1]), np.float32)
@@ -152,6 +157,7 @@ def _verify_batch(
                 one.compare(t, env.sim.get_world(world), env.state_digest(world))
         if t < longest:
             for world, one in enumerate(compared):
+                # Worlds that are done still step with the others.
                 actions[world] = one.actions[t] if t < one.steps else 0.0
             env.step(actions)
     return [
@@ -164,6 +170,7 @@ def _begin(
     env: RecordedEnv, batch: list[RecordedEpisode], compared: list[_Comparison]
 ) -> list[bool]:
     """Reset worlds to episodes; where the start state differs, set the recorded one. Returns which ones differed."""
+    # The last batch may be smaller than the number of worlds.
     mask = np.arange(env.num_envs) < len(batch)
     seeds = [episode.record.seed for episode in batch] + [None] * (
         env.num_envs - len(batch)

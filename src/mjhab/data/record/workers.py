@@ -30,6 +30,7 @@ from mjhab.rollout.records import EpisodeRecord
 from mjhab.rollout.sinks import Sink, StepView
 from mjhab.tasks.subtasks.registry import SUBTASKS
 
+# A lack of memory may pass; an episode that kills its worker does so every time.
 MOST_DEATHS = 3
 """Number of deaths of a worker, without a finished episode in between, after which its run fails."""
 ALL = "all"
@@ -109,6 +110,7 @@ class WorkSpec(Protocol):
         ...
 
 
+# An exception from a sink is the one way out of a rollout within an episode.
 class StopSink(Sink[RolloutEnv]):
     """Checks after every control step whether the worker should stop."""
 
@@ -165,6 +167,7 @@ class Worker:
         self._request = request
         self._tell = tell
         for index, keep in request.decided.items():
+            # A worker that was started again does not hold what its predecessor held.
             data = self._held.pop(index, None)
             if keep and data is not None:
                 self._write(data, self._files)
@@ -185,6 +188,7 @@ class Worker:
         if not self._passes(data.record, data.run):
             assert self._rest is not None, "the recorder was not told to drop it"
             size = self._write(data, self._rest)
+            # Kept aside for whoever wants the failures too; quotas do not count it.
             self._tell(EpisodeDone(outcome_of(data.record, False), False))
             return size
         outcome = outcome_of(data.record, True)
@@ -209,7 +213,9 @@ class Worker:
 
     def _is_stored(self, record: EpisodeRecord, run: RunInfo) -> bool:
         """Whether the recorder is to hand on an episode; one that it is not to is finished."""
+        # With a folder for the rest, the others are stored as well.
         stored = self._rest is not None or self._passes(record, run)
+        # An episode that the policy gave up has no label that could be trusted.
         if record.error or not stored:
             self._tell(EpisodeDone(outcome_of(record, False), False, record.error))
         return stored and not record.error

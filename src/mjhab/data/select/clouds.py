@@ -46,6 +46,7 @@ class Clouds:
     def __init__(self, episode: RecordedEpisode, count: int, base_height: float) -> None:
         images = set(episode.images)
         names = [camera for camera, output in episode.images if output == "depth"]
+        # Points have colours, so that a camera of depth alone gives none.
         names = [name for name in names if (name, "rgb") in images]
         paths = set(episode.paths)
         names = [name for name in names if _POSE.format(name) in paths]
@@ -57,6 +58,7 @@ class Clouds:
             _Camera(
                 name,
                 episode.array(_POSE.format(name)),
+                # Cameras do not zoom: the matrix of every state is the same.
                 episode.array(_INTRINSIC.format(name))[0],
             )
             for name in names
@@ -67,16 +69,19 @@ class Clouds:
         ]
         self._height = base_height
         record = episode.record
+        # Named by the episode, so that an export draws the same points whoever makes it.
         self._random = stream(record.seed, "points", record.index)
 
     def at(self, t: int) -> np.ndarray:
         """The cloud of state ``t``, (count, 6) float32, see CHANNELS."""
         depths = [self._episode.frame(c.name, "depth", t)[..., 0] for c in self._cameras]
+        # Depth 0 stands for no hit.
         hits = [np.flatnonzero(depth) for depth in depths]
         sizes = [len(hit) for hit in hits]
         total = int(np.sum(sizes))
         if not total:
             return np.zeros((self._count, len(CHANNELS)), np.float32)
+        # Drawn over all cameras together, so that each pixel has the same chance.
         drawn = self._random.choice(total, self._count, replace=total < self._count)
         ends = np.cumsum(sizes)
         parts = [
@@ -98,6 +103,7 @@ class Clouds:
         """Points (n, 6) of some pixels (n,) of an image, counted along its rows."""
         v, u = np.divmod(pixels, depth.shape[1])
         (fx, _, cx), (_, fy, cy), _ = camera.intrinsic
+        # Depth is along the optical axis and not along the ray.
         z = depth[v, u] * _M_PER_MM
         # Axes of the camera: x right, y up, z backwards.
         seen = np.stack(
@@ -113,6 +119,7 @@ class Clouds:
         yaw = self._base[t, BASE_YAW]
         c, s = np.cos(yaw), np.sin(yaw)
         turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+        # A row times the matrix is the inverse rotation.
         return (world - [x, y, self._height]) @ turn
 
 

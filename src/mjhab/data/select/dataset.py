@@ -38,6 +38,7 @@ PLACES = ("episode", "step")
 AUTO = "auto"
 MEMORY = "memory"
 DECODE = "decode"
+# The other half is for the network, and for loaders that decode besides.
 MEMORY_SHARE = 0.5
 """Fraction of the free memory that "auto" uses for decoded images."""
 
@@ -144,6 +145,7 @@ class WindowDataset(Dataset[dict[str, Any]]):
         self._states: list[np.ndarray] = []
         self._actions: list[np.ndarray] = []
         self._actor: list[np.ndarray] = []
+        # Hash of what the statistics are of, so that a cache of other episodes is not taken.
         mark = self._read()
         self._starts: list[int] = np.cumsum([0, *map(len, self._actions)]).tolist()
         self.statistics = normalization.statistics or self._statistics(
@@ -159,9 +161,11 @@ class WindowDataset(Dataset[dict[str, Any]]):
                 for values in self._actions
             ]
         self._firsts = np.array(self._starts)
+        # One array each, so that a batch is one indexing and not a loop over episodes.
         self._all_states = np.concatenate(self._states)
         self._all_actions = np.concatenate(self._actions)
         self._all_actors = np.concatenate(self._actor)
+        # They would keep a second copy of all numbers.
         del self._states, self._actions, self._actor
         self._stores = _stores(self._frames, frames)
 
@@ -169,6 +173,7 @@ class WindowDataset(Dataset[dict[str, Any]]):
         digests = [("labels", self.labels), ("schema", str(VERSION))]
         if not self._until.is_whole:
             digests.append(("until", self._until.text))
+        # Grouped, so that a shard is opened once and not for every episode.
         for path, names in itertools.groupby(self._members, lambda member: member[0]):
             with open_shard(path) as shard:
                 for _, name in names:
@@ -182,9 +187,11 @@ class WindowDataset(Dataset[dict[str, Any]]):
         self._states.append(episode.array("obs/state")[: steps + 1])
         self._actions.append(episode.array(LABELS[self.labels])[:steps])
         self.actors = tuple(dict.fromkeys((*self.actors, *episode.actors)))
+        # Episodes number their actors each for itself; the set needs one numbering.
         places = np.array([self.actors.index(name) for name in episode.actors], np.uint8)
         self._actor.append(places[episode.array("actor")[:steps]])
         where = f"episode {episode.name} of {episode.shard.path}"
+        # One nan in a batch would end the training without a hint where it came from.
         if not all(np.isfinite(each[-1]).all() for each in (self._states, self._actions)):
             raise DamagedError(
                 f"{where} holds numbers that are not finite; see `mjhab data check {episode.shard.path}`."
@@ -238,6 +245,7 @@ class WindowDataset(Dataset[dict[str, Any]]):
         seen = seen + (first + episode)[:, None]
         ahead = step[:, None] + np.arange(self.chunk)
         length = (self._firsts[episode + 1] - first)[:, None]
+        # The last action is repeated past the end, and "action_is_pad" tells where.
         done = first[:, None] + np.minimum(ahead, length - 1)
         batch = {
             STATE: self._all_states[seen],
@@ -264,6 +272,7 @@ def _stores(
     free_mb = available_mb()
     needed = sum(decoded_bytes(each) for each in frames.values())
     keeps = where == MEMORY or (
+        # Where the system does not tell its free memory, nothing is kept.
         where == AUTO and needed < MEMORY_SHARE * 2**20 * (free_mb or 0)
     )
     return {image: FrameStore(each, keeps) for image, each in frames.items()}
@@ -285,6 +294,7 @@ class SeededSampler(Sampler[int]):
         self._epoch = epoch
 
     def __iter__(self) -> Iterator[int]:
+        # A stream per epoch, so that a resumed training goes on with the same order.
         order = stream(self._seed, "shuffle", self._epoch).permutation(self._size)
         self._epoch += 1
         return iter(order.tolist())

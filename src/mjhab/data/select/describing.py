@@ -92,6 +92,7 @@ def state_names(columns: Mapping[str, int], layout: Mapping[str, Any]) -> list[s
     for part, width in columns.items():
         head = part.rpartition("/")[2]
         parts = joints if part in _OF_JOINTS else _PARTS.get(part, ())
+        # Other robots, and parts of plugins, have columns that nobody named.
         if len(parts) != max(width, 1):
             parts = tuple(map(str, range(width)))
         names += [f"{head}.{name}" for name in parts] if width > 1 else [head]

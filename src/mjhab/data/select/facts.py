@@ -47,6 +47,7 @@ def events_of(record: EpisodeRecord) -> list[str]:
 
 
 def _acted(record: EpisodeRecord, run: RunInfo) -> list[str]:
+    # Old records do not count who acted, and then one policy did all of it.
     return list(record.actors) or [run.policy]
 
 
@@ -195,11 +196,13 @@ def _measured() -> tuple[Fact, ...]:
             "max_finger_force",
             NUMBER,
             "largest force of a step on both fingers [N]; nan in older recordings, for which no comparison holds",
+            # A 0 would pass every "gentle" filter.
             lambda r, _: math.nan if r.peak_finger_force is None else r.peak_finger_force,
         ),
         Fact(
             "mean_force",
             NUMBER,
+            # A division by 0 in an episode without a step would end the whole selection.
             "mean of it over the steps [N]",
             lambda r, _: r.cumulative_force / max(r.steps, 1),
         ),
@@ -243,6 +246,7 @@ def _styled(name: str) -> Fact:
 
 def facts() -> Mapping[str, Fact]:
     """All names of the filter language, including events and labels of plugins."""
+    # The versions change with every plugin, which brings new events and labels.
     return _facts((SUBTASKS.version, TASKS.version))
 
 

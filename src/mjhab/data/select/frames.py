@@ -22,6 +22,7 @@ from mjhab.data.store.images import decode
 from mjhab.data.store.reading import RecordedEpisode, open_shard
 from mjhab.data.store.schema import DamagedError
 
+# Far below the usual limit of 1,024 descriptors per process, of which torch needs some too.
 _OPEN = 64
 """Largest number of shards that a process keeps open."""
 
@@ -53,6 +54,7 @@ class EncodedFrames:
         """
         camera, _, output = image.partition("/")
         offset, ends = episode.frame_places(camera, output) or (0, None)
+        # Decoded once here, because shape and type stand in no header of the dataset.
         first = episode.frame(camera, output, 0).transpose(2, 0, 1)
         path = episode.shard.path
         return cls(
@@ -73,12 +75,14 @@ class EncodedFrames:
         Raises:
             DamagedError: the image cannot be read.
         """
+        # HDF5 has no single offset for datasets in chunks or in the header.
         if self.ends is None:
             with open_shard(self.path) as shard:
                 image = shard.episode(self.name).frame(self.camera, self.output, t)
             return image.transpose(2, 0, 1)
         start = int(self.ends[t - 1]) if t else 0
         try:
+            # HDF5 is not thread-safe and does not survive a fork; a plain read does.
             data = os.pread(
                 files.get(self.path), int(self.ends[t]) - start, self.offset + start
             )
@@ -104,6 +108,7 @@ class OpenFiles:
         if path not in self._open:
             self._open[path] = os.open(path, os.O_RDONLY)
             if len(self._open) > _OPEN:
+                # The one that was used longest ago.
                 os.close(self._open.popitem(last=False)[1])
         self._open.move_to_end(path)
         return self._open[path]
@@ -147,6 +152,7 @@ class FrameStore:
                 whole, self._dtype, self.nbytes // self._dtype.itemsize
             )
             self._pixels = pixels.reshape(rows, *self._shape)
+            # In the same mapping, so that forked loaders see which images others have decoded.
             self._known = np.frombuffer(whole, np.uint8, rows, self.nbytes)
 
     @property
@@ -157,6 +163,7 @@ class FrameStore:
     def rows(self, rows: np.ndarray) -> np.ndarray:
         """The images (n, C, H, W) of the states ``rows`` (n,), counted over all episodes."""
         if self._pixels is None:
+            # Windows of one batch overlap, and decoding is the slow part.
             unique, back = np.unique(rows, return_inverse=True)
             return np.stack([self._decoded(row) for row in unique.tolist()])[back]
         for row in np.unique(rows[self._known[rows] == 0]).tolist():
@@ -207,6 +214,7 @@ def _mapping(size: int, folder: Path | None) -> mmap.mmap:
         return mmap.mmap(-1, size)
     try:
         with tempfile.TemporaryFile(dir=folder) as file:
+            # A sparse file on a full disk would kill the process by SIGBUS when a page is written.
             os.posix_fallocate(file.fileno(), 0, size)
             return mmap.mmap(file.fileno(), size)
     except OSError as error:

@@ -46,6 +46,7 @@ def taught_steps(episode: RecordedEpisode) -> np.ndarray:
     actor = episode.array("actor")
     steps = intervention_steps(episode)
     if steps.any():
+        # What the policy did before it was corrected is what it should not learn.
         return steps | (np.array(episode.actors)[actor] == EXPERT)
     if NOVICE not in episode.actors or len(episode.actors) == 1:
         return np.ones(episode.steps, bool)

@@ -57,6 +57,7 @@ def base_velocity(episode: RecordedEpisode) -> np.ndarray:
     c = np.cos(q[:, BASE_YAW])
     s = np.sin(q[:, BASE_YAW])
     x, y = qd[:, BASE_XY].T
+    # The joints of the base move along the axes of the world.
     return np.stack([c * x + s * y, c * y - s * x, qd[:, BASE_YAW]], axis=1).astype(
         np.float32
     )

@@ -22,6 +22,7 @@ from mjhab.data.store.episode_data import RunInfo
 from mjhab.rollout.records import EpisodeRecord
 from mjhab.tasks.subtasks.registry import event_columns
 
+# Python's parser may exhaust the stack on longer or deeper texts.
 LONGEST = 4000
 """Longest filter [characters]."""
 DEEPEST = 40
@@ -36,12 +37,14 @@ _ORDER: dict[type[ast.cmpop], Callable[[Any, Any], bool]] = {
 }
 _EQUAL: dict[type[ast.cmpop], Callable[[Any, Any], bool]] = {
     ast.Eq: operator.eq,
+    # Python's nan != 1 is true, and would select events that did not occur.
     ast.NotEq: lambda a, b: a != b and not (_is_nan(a) or _is_nan(b)),
 }
 _MATH: dict[type[ast.operator], Callable[[float, float], float]] = {
     ast.Add: operator.add,
     ast.Sub: operator.sub,
     ast.Mult: operator.mul,
+    # One episode of 0 steps must not end the selection of all.
     ast.Div: lambda a, b: a / b if b else math.nan,
 }
 
@@ -105,6 +108,7 @@ class FilterError(UsageError):
         begin = max(0, column - 1 - SHOWN_CHARACTERS)
         shown = text[begin : column - 1 + SHOWN_CHARACTERS]
         caret = " " * (column - 1 - begin)
+        # A part of the text around the column, so that the caret stands on the same line.
         super().__init__(f"filter, column {column}: {problem}\n  {shown}\n  {caret}^")
 
 
@@ -173,6 +177,7 @@ def read_filter(where: str | None, preset: str | None) -> Filter | None:
     named = Filter.preset(preset)
     if where is None:
         return named
+    # Compiled on its own first, so that columns of errors count in what the user typed.
     return Filter(f"({named.text}) and ({Filter(where).text})")
 
 
@@ -202,18 +207,21 @@ class _Compiler:
                 "characters of the filter", len(self.text), f"at most {LONGEST}"
             )
         lead = len(self.text) - len(self.text.lstrip())
+        # One line, so that columns of the parser are places in the text.
         self.text = self.text.replace("\n", " ").replace("\t", " ")
         try:
             tree = ast.parse(self.text.lstrip(), mode="eval")
         except SyntaxError as error:
             column = max(1, min((error.offset or 1) + lead, len(self.text)))
             raise FilterError(self.text, column, self._syntax(error)) from None
+        # What Python's parser raises for zero bytes and for brackets without end.
         except (ValueError, MemoryError, RecursionError):
             raise FilterError(self.text, 1, "too deeply nested, or not text") from None
         self._lead = lead
         return self._truth(tree.body, "a filter")
 
     def _syntax(self, error: SyntaxError) -> str:
+        # Signs of other languages, of which Python's own message says nothing useful.
         for wrong, right in (("&&", "and"), ("||", "or"), ("!(", "not ("), ("<>", "!=")):
             if wrong in self.text:
                 return f"write {right!r} instead of {wrong!r}"
@@ -226,6 +234,7 @@ class _Compiler:
     def _error(self, node: ast.AST, problem: str) -> FilterError:
         before = (
             self.text.lstrip()
+            # Python counts columns in bytes of UTF-8.
             .encode()[: getattr(node, "col_offset", 0)]
             .decode(errors="replace")
         )
@@ -259,6 +268,7 @@ class _Compiler:
             ast.List: self._list,
             ast.Set: self._list,
             ast.Call: self._call,
+            # Names of known nodes only: everything else of Python, such as calls of methods, is refused.
         }.get(type(node))
         if maker is None:
             raise self._error(
@@ -273,6 +283,7 @@ class _Compiler:
         return part
 
     def _bool_op(self, node: ast.BoolOp) -> _Part:
+        # Both stop at the first part that decides, as in Python.
         word, gather = ("and", all) if isinstance(node.op, ast.And) else ("or", any)
         parts = [self._truth(value, f"{word!r}") for value in node.values]
         return _Part(TRUTH, lambda r, run: gather(part.get(r, run) for part in parts))
@@ -331,6 +342,7 @@ class _Compiler:
             return (
                 (lambda x, y: x in y)
                 if isinstance(op, ast.In)
+                # An event that did not occur is neither in a list nor outside of it.
                 else (lambda x, y: x not in y and not _is_nan(x))
             )
         if a.kind != b.kind:
@@ -341,6 +353,7 @@ class _Compiler:
             return _ORDER[type(op)]
         if type(op) not in _EQUAL:
             raise self._error(where, "write == or != instead of is")
+        # A misspelt label would pass no episode, and nobody would see why.
         self._check_choices(a, b)
         return _EQUAL[type(op)]
 
@@ -384,6 +397,7 @@ class _Compiler:
 
     def _constant(self, node: ast.Constant) -> _Part:
         value = node.value
+        # Before numbers, because a bool is an int to Python.
         if isinstance(value, bool):
             return _Part(TRUTH, lambda r, run: value)
         if isinstance(value, int | float):
@@ -395,6 +409,7 @@ class _Compiler:
     def _list(self, node: ast.Tuple | ast.List | ast.Set) -> _Part:
         parts = [self._part(entry) for entry in node.elts]
         kinds = {part.kind for part in parts}
+        # With facts in a list its type and its choices could not be checked.
         if kinds not in ({TEXT}, {NUMBER}) or any(part.fact for part in parts):
             raise self._error(node, "a list holds texts or numbers, and at least one")
         values = [part.get for part in parts]
@@ -412,6 +427,7 @@ class _Compiler:
         event = (
             argument.value
             if isinstance(argument, ast.Constant)
+            # Both count('dropped') and count(dropped) are meant the same.
             else getattr(argument, "id", None)
         )
         if not isinstance(event, str):

@@ -68,6 +68,7 @@ def relabel_shards(places: Path | Sequence[Path], write: bool = False) -> Relabe
         new: dict[str, EpisodeRecord] = {}
         with open_shard(path) as shard:
             for episode in shard:
+                # Imported episodes have the label of their source, and nothing to compute another from.
                 if "signals/checks" in episode.run.absent:
                     skipped += 1
                     continue
@@ -93,9 +94,12 @@ def relabel(episode: RecordedEpisode) -> tuple[EpisodeRecord, list[Change]]:
     record = episode.record
     changes = []
     subtasks = []
+    # Events after the last subtask belong to none whose signals could be read again.
     events = [e for e in record.events if e[0] > _last_end(record)]
+    # From the last one on, so that events are put before those that follow.
     for k, old in reversed(list(enumerate(record.subtasks))):
         index, history = episode.history(k)
+        # A label needs a state before and one after an action.
         if index != old.index or len(history.success) < 2:
             raise DamagedError(
                 f"episode {episode.name} of {episode.shard.path}: its record has subtask {old.index}, and its signals "
@@ -128,6 +132,7 @@ def relabel_subtask(old: SubtaskRecord, history: History) -> SubtaskRecord:
         events += [(old.start_step + int(steps[t]), name) for name in names]
     return dataclasses.replace(
         old,
+        # Code 0 is a subtask without a label yet.
         label=label_names(kind, code)[0] or None,
         legacy_label=legacy_history(int(kind[0]), rows)[0],
         events=tuple(events),
@@ -142,6 +147,7 @@ def _changing(history: History) -> tuple[History, np.ndarray]:
     names = [f.name for f in dataclasses.fields(History)]
     rows = np.concatenate([getattr(history, name) for name in names], axis=1)
     keep = np.concatenate([[True], (rows[1:] != rows[:-1]).any(axis=1)])
+    # A slice, since an episode may have one row only.
     keep[1:2] = True
     return History(
         **{name: getattr(history, name)[keep] for name in names}

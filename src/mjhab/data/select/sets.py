@@ -29,6 +29,7 @@ from mjhab.rollout.records import EpisodeRecord
 GROUPINGS: dict[str, Callable[[EpisodeEntry], str]] = {
     "episode": lambda episode: episode.name,
     "home": lambda episode: episode.record.home,
+    # By the object or link, so that none of the test split's was seen in training.
     "target": lambda episode: target_of(episode.record),
 }
 """Groupings by name: episodes of a group stay together when a data set is split."""
@@ -64,11 +65,13 @@ def first_of_targets(found: Selection, count: int) -> list[Place]:
     taken: Counter[str] = Counter()
     kept: set[Place] = set()
     pairs = zip(found.matched, found.records, strict=True)
+    # By index and name, so that the choice does not depend on the order of the files.
     for place, record in sorted(pairs, key=lambda pair: (pair[1].index, pair[0][1])):
         target = target_of(record)
         if taken[target] < count:
             taken[target] += 1
             kept.add(place)
+    # In the order of the files, so that each is read once.
     return [place for place in found.matched if place in kept]
 
 
@@ -90,6 +93,7 @@ def select(
             found.records.append(record)
             found.runs.append(run)
             found.digests.append(episode.digest)
+        # Counted, so that a message can say why fewer pass than the filter suggests.
         elif record.taint and not where.lets_taint_in and where.holds(record, run):
             found.tainted += 1
     return found
@@ -130,6 +134,7 @@ def stats(places: Path | Sequence[Path], where: Filter | None = None) -> dict[st
 
 def _numbers(records: Sequence[EpisodeRecord]) -> dict[str, Any]:
     labels = Counter(entry.label or "" for record in records for entry in record.subtasks)
+    # numpy has no percentile of nothing.
     forces = [record.peak_force for record in records] or [0.0]
     fingers = [record.peak_finger_force for record in records]
     count = max(len(records), 1)
@@ -173,6 +178,7 @@ def merge(places: Sequence[Path], out: Path, where: Filter | None = None) -> Mer
     if any(path.resolve() == out.resolve() for path in shard_paths(places)):
         raise wrong_value("out", str(out), "a new file, not one of the shards to merge")
     check_outside(places, out)
+    # Copies are compared below, where a selection would refuse them.
     found = select(places, where, copies=True)
     present = {e.name: e.digest for e in entries(out)} if out.exists() else {}
     digests = dict(present)
@@ -182,6 +188,7 @@ def merge(places: Sequence[Path], out: Path, where: Filter | None = None) -> Mer
         if known is None:
             digests[name] = digest
             new.append((path, name))
+        # The same identity with other bytes: one of them was made by other code, and neither can be preferred.
         elif known != digest:
             raise fault(
                 f"episode {name} of {path}",
@@ -189,9 +196,12 @@ def merge(places: Sequence[Path], out: Path, where: Filter | None = None) -> Mer
                 "merged before it; leave one of the two sources out.",
             )
     with _writing(out):
+        # An identical file is not written again.
         if new or not present:
             write_shard(
-                out, {**({out: sorted(present)} if present else {}), **by_file(new)}
+                # The new file is beside the old one until it is whole, so that the old one can be a source.
+                out,
+                {**({out: sorted(present)} if present else {}), **by_file(new)},
             )
     repeated = len(found.matched) - len(new)
     return Merged(len(new), found.of - len(found.matched), repeated)
@@ -220,6 +230,7 @@ def check_outside(places: Path | Sequence[Path], out: Path) -> None:
         UsageError: names both.
     """
     for place in [places] if isinstance(places, Path) else places:
+        # Resolved, because a link may lead into the source.
         if place.is_dir() and out.resolve().is_relative_to(place.resolve()):
             raise wrong_value(
                 "out",
@@ -244,6 +255,7 @@ def split(
         UsageError: shares are not positive or their sum exceeds 1; a part has an invalid name or exists; an episode
             occurs twice; or ``out`` lies in a source.
     """
+    # 0.7 + 0.2 + 0.1 is a bit more than 1 in binary.
     if not parts or min(parts.values()) <= 0 or ordered_sum(parts.values()) > 1 + 1e-9:
         raise wrong_value("shares", dict(parts), "positive, with a sum of at most 1")
     try:
@@ -272,6 +284,7 @@ def _write_parts(dealt: Mapping[Path, Sequence[Place]]) -> None:
             with _writing(path):
                 write_shard(hidden[path], by_file(members))
         for path in dealt:
+            # Only when all are whole: a split of which a part is missing would be read as a smaller one.
             os.replace(hidden[path], path)
     finally:
         for path in hidden.values():
@@ -282,7 +295,9 @@ def deal(
     groups: Mapping[str, list[Place]], parts: Mapping[str, float], seed: int
 ) -> dict[str, list[Place]]:
     order = sorted(
-        groups, key=lambda name: hashlib.sha256(f"{seed}/{name}".encode()).digest()
+        # A hash, so that a group keeps its place when others are added.
+        groups,
+        key=lambda name: hashlib.sha256(f"{seed}/{name}".encode()).digest(),
     )
     total = sum(map(len, groups.values()))
     dealt: dict[str, list[Place]] = {part: [] for part in parts}
@@ -291,6 +306,7 @@ def deal(
     due = 0.0
     for part, share in parts.items():
         due += share * total
+        # Shares add up before they are rounded, so that no part gets the rounding of all.
         while reached < round(due) and (name := next(waiting, None)) is not None:
             dealt[part] += groups[name]
             reached += len(groups[name])

@@ -51,7 +51,9 @@ class Statistics:
         }
         for name, pieces in arrays.items():
             count = sum(len(piece) for piece in pieces)
+            # float32 sums over millions of rows lose the digits that the spread is made of.
             mean = sum(piece.sum(axis=0, dtype=np.float64) for piece in pieces) / count
+            # In a second pass, since the mean of squares cancels where the mean is large.
             square = sum(((piece - mean) ** 2).sum(axis=0) for piece in pieces) / count
             parts["mean"][name] = np.asarray(mean, np.float32)
             parts["std"][name] = np.sqrt(square).astype(np.float32)
@@ -84,6 +86,7 @@ class Statistics:
             return self.mean[name], np.maximum(self.std[name], _LEAST)
         low = self.low[name]
         high = self.high[name]
+        # Half the range, so that the ends are at -1 and 1.
         return (low + high) / 2, np.maximum((high - low) / 2, _LEAST)
 
     def save(self, path: Path) -> None:
@@ -99,6 +102,7 @@ class Statistics:
 
         def write(temporary: Path) -> None:
             with temporary.open("wb") as file:
+                # A file object, because numpy appends .npz to a path.
                 np.savez(file, head=head, **arrays)
 
         write_atomic(path, write)

@@ -54,4 +54,5 @@ class Until:
         reached = np.flatnonzero(success)
         if self.is_whole or not len(reached):
             return len(success)
+        # The step of the success itself counts, so that its state is the last one.
         return min(len(success), int(reached[0]) + 1 + self.hold_steps)

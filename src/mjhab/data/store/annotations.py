@@ -47,6 +47,7 @@ class Annotations:
     @classmethod
     def of(cls, doing: Sequence[Doing], wordings: Sequence[Sequence[str]]) -> Annotations:
         """Those of an episode in which ``doing`` was done, one entry per control step."""
+        # A learned policy tells nothing, and N empty entries are no segment.
         told = any(now != Doing() for now in doing)
         return cls(segments(doing) if told else (), tuple(map(tuple, wordings)))
 
@@ -74,6 +75,7 @@ class Annotations:
                 f"{ANNOTATIONS} are not what was written ({error!r})"
             ) from error
         ends = [0, *(s.end for s in skills)]
+        # `type`, because JSON's true would count as 1.
         fits = all(type(k) is int for s in skills for k in (s.start, s.end))
         if (
             not fits

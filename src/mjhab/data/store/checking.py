@@ -77,6 +77,7 @@ def check(
             with open_shard(path) as shard:
                 for name in shard.names:
                     first = seen.setdefault(name, path)
+                    # What a killed packing left is a copy, and no damage.
                     if first != path and is_leftover(path, first, name):
                         continue
                     report.episodes += 1
@@ -90,6 +91,7 @@ def check(
             report.unreadable[path] = str(error)
         if on_shard is not None:
             on_shard()
+    # At the end, because an unreadable shard ends in the middle of its count.
     report.ok = report.episodes - len(report.damaged)
     report.doubled.sort()
     return report
@@ -116,6 +118,7 @@ def repair(path: Path) -> Repair:
     pending = _is_unfinished(path)
     try:
         if pending:
+            # Opening and closing does what the killed writer would have done.
             ShardWriter(path).close()
         with WriteLock(path):
             # A writer of mjhab 0.1 that was killed early has left bytes behind the end, and no journal.
@@ -135,11 +138,13 @@ def repair(path: Path) -> Repair:
 
 def _without(path: Path, kept: Sequence[str]) -> Path:
     """Replace a file by one of the episodes ``kept``; returns the new name of the damaged one."""
+    # An empty shard would hide that there was data; a file of one episode has nothing else to keep.
     if not kept and not is_episode_file(path):
         raise DamagedError(
             f"no episode in {path} can be read; the file was left as it is."
         )
     aside = _free_name(path)
+    # A second name and not a rename: a kill in between leaves the file in its place.
     os.link(path, aside)
     try:
         if kept:
@@ -147,6 +152,7 @@ def _without(path: Path, kept: Sequence[str]) -> Path:
         else:
             path.unlink()
     except BaseException:
+        # The file itself was not replaced, so that its second name is not needed.
         aside.unlink()
         raise
     return aside

@@ -26,6 +26,7 @@ def problems_in(shard: Shard, name: str) -> list[str]:
     try:
         return episode_problems(shard.episode(name))
     except DamagedError as error:
+        # h5py's own error names the part that is damaged.
         cause = error.__cause__ or error
         return [f"cannot be read ({type(cause).__name__}: {reason(cause)})"]
 
@@ -46,9 +47,11 @@ def episode_problems(episode: RecordedEpisode) -> list[str]:
             widths=column_widths(episode.run.layout, columns),
             absent=episode.run.absent,
         )
+        # Only of arrays whose types are right: others would raise here.
         wrong = wrong or unnamed_actors(arrays, episode.actors)
         if not wrong and episode_digest(arrays) != episode.attributes["digest"]:
             wrong.append("its bytes are not those that were written (digest)")
+        # Pictures last, since checking them takes the longest.
         return wrong or _contradictions(episode) or _picture_problems(arrays)
 
 
@@ -110,6 +113,7 @@ def _picture_problems(arrays: Mapping[str, np.ndarray]) -> list[str]:
                 )
             except ValueError as error:
                 found.append(f"frame {t} of {folder}: {error}")
+                # After a broken frame the ends of the others cannot be trusted.
                 break
         if len(sizes) > 1:
             found.append(f"the frames of {folder} have {len(sizes)} different sizes")

@@ -109,7 +109,9 @@ class EpisodeData:
 
     def __post_init__(self) -> None:
         if not self.actors:
+            # The class is frozen.
             object.__setattr__(self, "actors", (self.run.policy,))
+        # The record is encoded when it is written; the schema only asks that it is there.
         arrays = {**self.arrays, "record": np.zeros(1, np.uint8)}
         widths = column_widths(self.run.layout, self.columns)
         wrong = problems(
@@ -156,6 +158,7 @@ def record_problems(record: EpisodeRecord) -> list[str]:
         for entry in record.subtasks
         for force in (entry.peak_force, entry.cumulative_force)
     ]
+    # JSON has no inf or nan, and filters compare forces.
     if not np.isfinite(forces).all():
         found.append("its record has forces that are not finite")
     for entry in record.subtasks:
@@ -190,8 +193,10 @@ def style_text(record: EpisodeRecord) -> str:
 def episode_digest(arrays: Mapping[str, np.ndarray]) -> str:
     """SHA-256 over names, types, shapes and bytes of all datasets of an episode, including its record."""
     digest = hashlib.sha256()
+    # Sorted, because HDF5 may list datasets in another order than they were written.
     for path in sorted(arrays):
         array = np.ascontiguousarray(arrays[path])
+        # Type and shape too: equal bytes may be other numbers.
         digest.update(f"{path} {array.dtype.str} {array.shape}\n".encode())
         digest.update(array.data)
     return digest.hexdigest()
@@ -219,6 +224,7 @@ def from_bytes(data: np.ndarray | bytes) -> Any:
         if data.dtype != np.uint8:
             raise ValueError(f"JSON data are bytes, not {data.dtype}")
         data = data.tobytes()
+    # The hook is called for every object, and records have no arrays to restore.
     return parse_json(data, _restore if _ARRAY.encode() in data else None)
 
 
@@ -239,6 +245,7 @@ def _restore(value: dict[str, Any]) -> Any:
         return value
     try:
         dtype = np.dtype(value[_ARRAY])
+        # Objects, texts and structures are not among what `to_bytes` writes.
         if dtype.kind not in _ARRAY_KINDS:
             raise ValueError(f"an array holds truths or numbers, not {dtype}")
         return np.array(value["data"], dtype).reshape(value["shape"])
@@ -247,4 +254,5 @@ def _restore(value: dict[str, Any]) -> Any:
 
 
 def _hash(value: Any) -> str:
+    # Sorted, so that the order in which options were given does not matter.
     return hashlib.sha256(json.dumps(value, sort_keys=True).encode()).hexdigest()

@@ -93,6 +93,7 @@ class EpisodeFiles:
 
     def paths(self) -> dict[str, Path]:
         """The files that are there now, by name of the episode."""
+        # Asked anew every time, because other processes write here.
         found = self.folder.glob("*.h5") if self.folder.is_dir() else ()
         return {path.stem: path for path in sorted(found) if is_episode_file(path)}
 
@@ -108,10 +109,12 @@ class EpisodeFiles:
         """
         self.folder.mkdir(parents=True, exist_ok=True)
         path = self.path_of(data.name)
+        # The file before its line: a line without a file would name an episode that is not there.
         digest = write_episode(path, data)
         entry = EpisodeEntry(path, data.name, data.record, data.run, digest)
         lines = [_line(entry)]
         if data.run.id not in self._known_runs:
+            # Before the line that refers to it, as the table is read from the top.
             lines.insert(0, _run_line(data.run))
         _add(self.folder / INDEX, lines)
         self._known_runs.add(data.run.id)
@@ -129,6 +132,7 @@ def entries_of(folder: Path, paths: Sequence[Path]) -> Iterator[EpisodeEntry]:
     is_whole = True
     for path in paths:
         entry = known.get(path.name)
+        # Copied files, and those whose line was lost by a kill, are read and entered.
         if entry is None:
             is_whole = False
             entry = known[path.name] = _read_entry(path)
@@ -150,6 +154,7 @@ def _read_table(folder: Path) -> dict[str, EpisodeEntry]:
     """The entries whose files are as they were when the line was written, by name of the file."""
     try:
         lines = (folder / INDEX).read_bytes().splitlines()
+    # The table is only a shortcut: without it every file is read.
     except OSError:
         return {}
     runs: dict[str, RunInfo] = {}
@@ -164,6 +169,7 @@ def _read_table(folder: Path) -> dict[str, EpisodeEntry]:
                 continue
             path = folder / f"{entry['name']}.h5"
             record = EpisodeRecord.from_dict(entry["record"])
+            # A file that was changed or copied since is read again.
             if entry["file"] == _stamp(path) and not record_problems(record):
                 found[path.name] = EpisodeEntry(
                     path, path.stem, record, runs[entry["run"]], str(entry["digest"])
@@ -181,6 +187,7 @@ def _write_table(path: Path, entries: Sequence[EpisodeEntry]) -> None:
 
 def _add(path: Path, lines: Sequence[bytes]) -> None:
     with contextlib.suppress(OSError):
+        # Appended by one write, so that lines of several processes do not mix.
         fd = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o666)
         try:
             os.write(fd, b"".join(lines))

@@ -18,6 +18,7 @@ from mjhab.core.errors import fault
 from mjhab.core.version import __version__
 from mjhab.data.store.schema import EPISODES, FORMAT, OLDEST, RUNS, VERSION, DamagedError
 
+# A damaged or malicious file of some kB may claim to unpack to TB.
 MAX_UNPACKED_BYTES = 256 << 20
 """Datasets up to this size are read however well they are compressed [bytes]."""
 MAX_UNPACKED_RATIO = 200
@@ -37,6 +38,7 @@ class _NewFile(io.RawIOBase):
 
     def __init__(self, path: Path) -> None:
         super().__init__()
+        # Unbuffered, so that a failed write is seen at once and not when the file is closed.
         self._file = io.FileIO(path, "w+b")
         self.error: OSError | None = None
 
@@ -60,6 +62,7 @@ class _NewFile(io.RawIOBase):
         """Read into a buffer; what is not there, because the disk was full, are zeros."""
         view = memoryview(buffer).cast("B")
         count = self._file.readinto(view) or 0
+        # HDF5 crashes on a short read of metadata that it believes it wrote.
         view[count:] = bytes(len(view) - count)
         return len(view)
 
@@ -70,6 +73,7 @@ class _NewFile(io.RawIOBase):
         while done < len(view) and self.error is None:
             with self._noting():
                 done += self._file.write(view[done:])
+        # The whole length even after an error: HDF5 may abort the process on a short write.
         return len(view)
 
     def truncate(self, size: int | None = None) -> int:
@@ -113,6 +117,7 @@ def new_file(
     Raises:
         OSError: the disk is full or broken; nothing has changed.
     """
+    # The process and a random part, because threads and nodes of a cluster may share process numbers.
     temporary = path.with_name(f".{path.stem}-{os.getpid()}-{secrets.token_hex(4)}.h5")
     raw = _NewFile(temporary)
     try:
@@ -127,11 +132,14 @@ def new_file(
                 raise
             # HDF5 stumbles over what could not be written.
             raise raw.error from error
+        # Before the rename, else a power failure could leave an empty file under the final name.
         raw.sync()
         os.replace(temporary, path)
+        # The rename itself lies in the folder and not in the file.
         sync_folder(path.parent)
     finally:
         raw.close()
+        # After the rename it is gone already.
         temporary.unlink(missing_ok=True)
 
 
@@ -254,6 +262,7 @@ def dataset(parent: h5py.Group, path: str) -> h5py.Dataset:
     item = parent[path]
     if not isinstance(item, h5py.Dataset):
         raise KeyError(f"{path} is not a dataset")
+    # A shard from elsewhere could read any file of this machine.
     if item.is_virtual or item.external or item.file.id != parent.file.id:
         raise ValueError(f"the data of {path} lie in another file")
     return item
@@ -283,6 +292,7 @@ def _nbytes(item: h5py.Dataset) -> int:
 def dataset_paths(parent: h5py.Group) -> list[str]:
     """Paths of all datasets in a group and its subgroups."""
     found: list[str] = []
+    # Does not follow links, so that loops and other files are left out.
     parent.visititems(
         lambda path, item: found.append(path) if isinstance(item, h5py.Dataset) else None
     )

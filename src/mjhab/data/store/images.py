@@ -18,6 +18,7 @@ from mjhab.core.files.reading import reason
 from mjhab.core.typed.checks import check_between
 
 RGB_FORMATS = ("png", "jpeg")
+# Above every camera of a profile, and 50 MB of colours at most.
 MAX_SIDE = 4096
 """Largest side of a picture that is read [px]; an encoded picture of a few bytes may claim any size."""
 MAX_FRAME_BYTES = 4 * MAX_SIDE**2
@@ -52,10 +53,12 @@ def encode(image: np.ndarray, output: str, form: ImageFormat) -> bytes:
     if output in COLOURS:
         picture = Image.fromarray(image)
         if form.rgb == "jpeg":
+            # Halved colours would blur the edges of small objects.
             picture.save(file, "JPEG", quality=form.quality, subsampling=0)
         else:
             picture.save(file, "PNG", compress_level=_PNG_LEVEL)
         return file.getvalue()
+    # A cast to uint16 would wrap around without an error.
     if image.min() < 0 or image.max() > _MOST:
         raise ValueError(
             f"{output} image has values from {image.min()} to {image.max()}; 0 to {_MOST} can be stored"
@@ -120,7 +123,9 @@ def _telling() -> Iterator[None]:
 def _opened(data: bytes, output: str) -> Image.Image:
     """Open a picture, whose header alone is read; refuse other formats, kinds of pixels, and sizes of no camera."""
     picture = Image.open(
-        io.BytesIO(data), formats=("PNG", "JPEG") if output in COLOURS else ("PNG",)
+        # Pillow would try all its formats, some of which run other programs.
+        io.BytesIO(data),
+        formats=("PNG", "JPEG") if output in COLOURS else ("PNG",),
     )
     wide, high = picture.size
     if max(wide, high) > MAX_SIDE:

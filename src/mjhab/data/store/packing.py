@@ -15,6 +15,7 @@ from mjhab.data.store.reading import open_shard
 from mjhab.data.store.storage import broken
 from mjhab.data.store.writing import write_shard
 
+# Large enough that a set has few files, small enough to upload and to check one at a time.
 SHARD_MB = 512
 """Size up to which episodes are packed into one shard [MB]."""
 
@@ -56,6 +57,7 @@ def pack(
     with lock_set(folder):
         drop_unfinished(files.folder)
         drop_unfinished(folder, "shard_*")
+        # Else they would be packed a second time.
         _drop_packed(folder, files)
         for batch in _batches(files.paths(), int(shard_mb * 1e6)):
             shard = _free_name(folder)
@@ -64,6 +66,7 @@ def pack(
             except OSError as error:
                 raise broken(shard, error) from error
             for path in batch.values():
+                # After the shard is whole under its name: a kill between leaves copies, which `_drop_packed` knows.
                 path.unlink()
             shards.append(shard)
             episodes += len(batch)
@@ -90,6 +93,7 @@ def _batches(paths: Mapping[str, Path], limit: int) -> Iterator[dict[str, Path]]
     total = 0
     for name, path in paths.items():
         size = path.stat().st_size
+        # The first test lets a file that is larger than a shard be a shard of its own.
         if batch and total + size > limit:
             yield batch
             batch, total = {}, 0

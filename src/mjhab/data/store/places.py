@@ -41,7 +41,9 @@ def shard_paths(places: Path | Sequence[Path]) -> list[Path]:
             )
         found += inside
     by_file: dict[Path, Path] = {}
+    # Shards first: of an episode in both, the copy in the shard counts.
     for path in sorted(found, key=is_episode_file):
+        # Resolved, so that a file given twice or by a link counts once, under the name given first.
         by_file.setdefault(path.resolve(), path)
     return list(by_file.values())
 
@@ -58,6 +60,7 @@ def entries(
 ) -> Iterator[EpisodeEntry]:
     """Iterate over what filters ask of the episodes of shards and folders; see `episodes`."""
     once = _Once(copies)
+    # The table of a folder is read once for all its files.
     for folder, paths in itertools.groupby(shard_paths(places), _folder_of):
         if folder is not None:
             yield from once.of(entries_of(folder, list(paths)))
@@ -124,6 +127,7 @@ class _Once:
 
 def is_leftover(path: Path, shard: Path, name: str) -> bool:
     """Whether a file is of an episode in a shard, left by a process that was killed before it deleted the file."""
+    # Packing puts the shard beside the folder of the files.
     if not is_episode_file(path) or shard.parent != path.parent.parent:
         return False
     with open_shard(path) as one, open_shard(shard) as many:

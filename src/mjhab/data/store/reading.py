@@ -80,8 +80,10 @@ class RecordedEpisode:
     def reading(self) -> Iterator[None]:
         """Keep the group open, and convert h5py's errors about damage to messages with a remedy."""
         with ExitStack() as stack:
+            # h5py's objects are false once their file is closed.
             if not self._group:
                 self.shard = stack.enter_context(open_shard(self.shard.path))
+                # Stays set after this: the next access sees that it is closed again.
                 self._group = self.shard.episode(self.name)._group
             with self._telling():
                 yield
@@ -231,6 +233,7 @@ class RecordedEpisode:
         with self.reading():
             if path in self._group:
                 return self._as_of_now(path, content(dataset(self._group, path)))
+        # Before absent and unknown names: older schemas lack some by rule and not by damage.
         if path in self.lacks:
             return stand_in(path, self.array(STAND_INS[path]))
         if path in self.run.absent:
@@ -359,6 +362,7 @@ class RecordedEpisode:
                 raise ValueError(f"{place}/ends is {ends.dtype}, not int64")
             start = int(ends[t - 1]) if t else 0
             end = int(ends[t])
+            # Damaged ends could ask for the rest of the file, or for a slice from its end.
             if not 0 <= start < end <= start + MAX_FRAME_BYTES:
                 raise ValueError(f"frame {t} of {place} is from byte {start} to {end}")
             return decode(
@@ -386,9 +390,11 @@ class RecordedEpisode:
             UsageError: no such image was recorded.
         """
         with self.reading():
+            # Refuses damaged ends, which the caller will read with no check.
             self.frame(camera, output, 0)
             place = f"images/{camera}/{output}"
             offset = dataset(self._group, f"{place}/bytes").id.get_offset()
+            # HDF5 gives no offset for data in chunks or in a header.
             if offset is None:
                 return None
             return int(offset), dataset(self._group, f"{place}/ends")[()]
@@ -405,6 +411,8 @@ class RecordedEpisode:
         with self.reading():
             starts = [*steps.tolist(), self.steps]
             first = before[k : k + 1]
+            # Row 0 is from the subtask's own view of its first state, which the step before saw with another
+            # target.
             checks = np.concatenate([first, rows[starts[k] + 1 : starts[k + 1] + 1]])
             fields = checks_by_name(checks)
             return int(numbers[k]), History(
@@ -429,11 +437,15 @@ class Shard:
         self._runs: dict[str, RunInfo] = {}
         try:
             stated_length(path)
+            # Before h5py opens it: half-changed metadata can crash it.
             _refuse_journal(path)
+            # Network file systems refuse HDF5's locks, and files are replaced as a whole and never changed.
             self.file = h5py.File(path, "r", locking=False)
             check_format(self.file, path)
             self._episodes = group(self.file, EPISODES)
+            # HDF5's order depends on how the file was made.
             self.names = sorted(map(str, self._episodes))
+            # A set, because shards hold many thousand names and each access looks one up.
             self._known = frozenset(self.names)
         except UNREADABLE as error:
             self.close()
@@ -499,6 +511,7 @@ class Shard:
         Raises:
             ValueError: it lies in another file.
         """
+        # A soft or external link could lead into any file of this machine.
         if not isinstance(self._episodes.get(name, getlink=True), h5py.HardLink):
             raise ValueError(f"the episode {name} lies in another file")
         return group(self._episodes, name)

@@ -44,6 +44,7 @@ def _is_texts(value: Any) -> bool:
 
 
 def _is_number(value: Any, *kinds: type[float]) -> bool:
+    # A size of 10**12 would be allocated before anything else fails.
     return isinstance(value, kinds) and abs(value) <= MAX_LAYOUT_NUMBER
 
 

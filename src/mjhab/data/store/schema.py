@@ -162,6 +162,7 @@ def field_of(path: str) -> Field | None:
     for field in FIELDS:
         if field.path == path:
             return field
+    # Cameras and observations have names of their own, which no table can list.
     parts = path.split("/")
     if parts[0] == "obs" and len(parts) > 1:
         return next(f for f in FIELDS if f.path == "obs/*")
@@ -206,6 +207,7 @@ def checks_by_name(rows: np.ndarray) -> dict[str, np.ndarray]:
         name: rows[:, column : column + 1].astype(bool)
         for column, name in enumerate(STORED_CHECKS)
     }
+    # Shards recorded before the column was added have the others in the same order.
     if rows.shape[1] < len(STORED_CHECKS):
         table["ee_contact"] = table["touch"]
     return table
@@ -246,6 +248,7 @@ def problems(
     for path, array in arrays.items():
         field = field_of(path)
         if field is None:
+            # Readers let unknown ones pass, since later versions may add some; writers do not.
             found += [] if others else [f"{path} is not part of the schema"]
             continue
         if field.dtype != "any" and array.dtype != np.dtype(field.dtype):
@@ -261,8 +264,10 @@ def problems(
             and array.shape[1] != widths.get(path, array.shape[1])
         ):
             found.append(f"{path} has {array.shape[1]} columns, not {widths[path]}")
+        # Last of these, because it reads the whole array.
         elif array.dtype.kind == "f" and not np.isfinite(array).all():
             found.append(_not_finite(path, array))
+    # Values are only compared where types and shapes hold.
     return found or _bad_values(arrays, steps)
 
 
@@ -286,6 +291,7 @@ def _bad_values(arrays: Mapping[str, np.ndarray], steps: int) -> list[str]:
         ("subtasks/checks", STORED_CHECKS),
     ):
         widths = (
+            # Shards of before ``ee_contact`` have a column less.
             (len(columns), len(columns) - 1)
             if columns is STORED_CHECKS
             else (len(columns),)

@@ -37,8 +37,10 @@ class ShardWriter:
         self._stored: list[str] = []
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
+            # Before anything is read: another writer may be about to replace the file.
             self._lock = WriteLock(path)
             if path.exists():
+                # Opening refuses a file with a journal of mjhab 0.1.
                 finish_change(path)
                 with open_shard(path) as shard:
                     self._stored = shard.names
@@ -64,6 +66,7 @@ class ShardWriter:
         """
         if self._lock is None:
             raise fault(self.path, "has been closed; open it again to write")
+        # Renaming over the first one would replace it without a word.
         if data.name in self.names:
             raise UsageError(
                 f"episode {data.record.index} of seed {data.record.seed} is in {self.path} already; nothing was written"
@@ -71,6 +74,7 @@ class ShardWriter:
         try:
             size = self._parts.append(data)
         except OSError as error:
+            # The disk is full: what is there stays, and a later call continues it.
             self._release()
             raise not_written(self.path, error) from error
         self.names.add(data.name)
@@ -92,6 +96,7 @@ class ShardWriter:
             self._release()
 
     def _join(self) -> None:
+        # Safe, because this process holds the lock.
         drop_unfinished(self.path.parent, self.path.stem)
         stored = set(self._stored)
         # A writer that was killed after it had made the file has left the parts.
@@ -103,6 +108,7 @@ class ShardWriter:
         if parts or not self.path.exists():
             present = {self.path: self._stored} if self._stored else {}
             write_shard(self.path, {**present, **parts})
+        # Last: until the shard is whole, the parts are the only copy.
         shutil.rmtree(self._parts.folder, ignore_errors=True)
 
     def _release(self) -> None:

@@ -16,6 +16,7 @@ class StorageError(MjhabError):
 def is_full(error: Exception) -> bool:
     """Whether an error reports a full disk, by its errno or, for libraries without one, by its text."""
     number = getattr(error, "errno", None)
+    # A user's quota is as full as a disk, and has an errno of its own.
     return number in (errno.ENOSPC, errno.EDQUOT) or os.strerror(errno.ENOSPC) in str(
         error
     )

@@ -63,12 +63,14 @@ def write_shard(
         DamagedError: an episode cannot be read; nothing has changed.
     """
     with new_file(path, _ROOT, (EPISODES, RUNS)) as file:
+        # Runs are shared by many episodes, and stored once per file.
         runs = group(file, RUNS)
         episodes = group(file, EPISODES)
         for source, names in sources.items():
             with open_shard(source) as shard:
                 for name in names:
                     episode = shard.episode(name)
+                    # HDF5 copies compressed chunks as they are, so that the digest still holds.
                     episode.copy_to(episodes)
                     run = str(episode.attributes["run"])
                     if run not in runs:
@@ -78,8 +80,10 @@ def write_shard(
 
 
 def _replace_record(episode: h5py.Group, record: EpisodeRecord) -> None:
+    # The new record may have another length, which a dataset cannot take.
     del episode["record"]
     _put(episode, "record", record_bytes(record))
+    # The digest covers the record, so that it changes with it.
     digest = episode_digest(read_arrays(episode))
     put_attributes(episode, {"label": last_label(record), "digest": digest})
 
@@ -117,7 +121,9 @@ def _put(
     columns: tuple[str, ...] | None = None,
 ) -> None:
     array = np.ascontiguousarray(array)
+    # The low-level calls, because h5py's own interface has no compact layout.
     plist = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
+    # Times in the file would make equal episodes differ.
     plist.set_obj_track_times(False)
     if array.nbytes < _SMALL:
         plist.set_layout(h5py.h5d.COMPACT)
@@ -125,6 +131,7 @@ def _put(
         # Frames are compressed already and read one at a time, so the dataset is contiguous and uncompressed.
         rows = max(1, min(len(array), _CHUNK // max(1, array.nbytes // len(array))))
         plist.set_chunk((rows, *array.shape[1:]))
+        # Bytes of equal rank side by side compress floats much better.
         plist.set_shuffle()
         plist.set_deflate(_GZIP)
     folder, _, name = path.rpartition("/")

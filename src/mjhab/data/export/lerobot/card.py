@@ -55,6 +55,7 @@ class CardFacts:
 
 def card(told: CardFacts, made: Sequence[ExportedEpisode], notes: str) -> str:
     """Text of README.md for the episodes ``made``; ``notes`` are about their images, see `image_notes`."""
+    # A dict, not a set, keeps the order of the episodes: the same export writes the same card.
     licences = "; ".join(dict.fromkeys(each.licence for each in made))
     parts = [
         _head(licences),
@@ -133,9 +134,11 @@ def _actions(told: CardFacts) -> str:
 
 
 def _ends(entry: Mapping[str, Any]) -> str:
+    # Runs of older versions tell the names of actions alone.
     if "low" not in entry:
         return ""
     if not entry.get("normalized", True):
+        # Such entries are not scaled from -1..1, so that the ends say nothing about a unit.
         return "the unit itself"
     return f"{entry['low']:.4g}, {entry['high']:.4g}"
 
@@ -193,6 +196,7 @@ def _remarks(told: CardFacts, made: Sequence[ExportedEpisode]) -> list[str]:
 
 
 def _film_quality(made: Sequence[ExportedEpisode]) -> str:
+    # Only the first episode is measured, and 0 stands for a film that nothing could read back.
     measured = {key: value for each in made for key, value in each.psnr.items() if value}
     if not measured:
         return ""

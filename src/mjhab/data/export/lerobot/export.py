@@ -106,8 +106,10 @@ def write_lerobot(
     if not found.matched:
         raise nothing_passes()
     choice = choice or Choice()
+    # A wrong text fails here, before a folder is made, and not at the first episode.
     Until.parse(choice.until)
     after = begin(len(found.matched)) if begin else None
+    # What a resumed export compares: all that changes a byte of the result.
     job = {
         "format": "lerobot",
         "version": version,
@@ -136,6 +138,7 @@ def write_lerobot(
 def _by_split(found: Selection, held_out: Sequence[str]) -> list[Place]:
     """The episodes of the split train in their order, then those of val, whose homes are held out."""
     pairs = list(zip(found.matched, found.records, strict=True))
+    # LeRobot's splits are ranges of episode numbers, so each split must be one run of episodes.
     parts = [
         [p for p, r in pairs if (r.home in held_out) == val] for val in (False, True)
     ]
@@ -175,6 +178,7 @@ class _Export:
         self._tasks: dict[str, int] = {}
         self._subtasks: dict[str, int] = {}
         self._actors: dict[str, int] = {}
+        # LeRobot's readers want an index in every frame: 0 stands for no skill told.
         self._skills: dict[str, int] = {"": 0}
         self._made: list[ExportedEpisode] = []
         self._frames = 0
@@ -183,10 +187,12 @@ class _Export:
         """Write one episode, unless it is written already."""
         number = len(self._made)
         made = self._parts.made(number)
+        # The first episode is opened even if it is written: only its file tells the features of the set.
         if made is None or not self._features:
             with open_shard(path) as shard:
                 episode = shard.episode(name)
                 refuse_damage(episode)
+                # Every episode opened is compared, since a table of LeRobot has one schema for all its files.
                 features = describe(episode, *self._asked)
                 self._features = self._features or features
                 self._run = self._run or episode.run
@@ -194,6 +200,7 @@ class _Export:
                 self._name_segments(episode)
                 if features != self._features:
                     raise differing(episode, self._features, features)
+                # Segments and features are checked first, so that a refused episode leaves no part behind.
                 made = made or self._make(number, episode)
         self._count(made)
         self._made.append(made)
@@ -272,17 +279,21 @@ class _Export:
             frames = _shown(episode, length, camera, samples)
             made.films[key] = self._parts.add_film(number, key, frames)
             made.stats[key] = image_stats(np.stack(samples))
+            # Reading a film back costs as much as writing it; one episode tells the quality of the encoder.
             if number == 0:
                 wanted = [episode.frame(camera, "rgb", t) for t in range(length)]
                 made.psnr.update({key: psnr(wanted, self._parts.shown(number, key))})
+        # Counted before the columns are freed: the card sums them without opening a table again.
         corrections = int(columns[INTERVENTION].sum())
         made = replace(made, size=table.nbytes, interventions=corrections)
+        # Last, because this file is what a resumed export takes as proof of the films and the table.
         self._parts.finish(number, made)
         return made
 
     def finish(self, training: int, where: str) -> Exported:
         """Write the metadata of the data set; the first ``training`` episodes are the split train."""
         assert self._run is not None, "an export has an episode"
+        # First, because it adds the places of the files to the rows that the next line writes.
         self._files.arrange(self._parts, self._made)
         self._files.describe(
             [made.row for made in self._made], [made.stats for made in self._made]
@@ -306,6 +317,7 @@ class _Export:
             **self._files.paths,
             "features": self._features,
         }
+        # LeRobot writes null here for a set without films.
         if not films:
             info["video_path"] = None
         write_json(self._root / INFO, info)
@@ -322,6 +334,7 @@ class _Export:
         )
         text = card(told, self._made, notes)
         (self._root / README).write_text(text, encoding="utf-8")
+        # Last, when every other file is there; it cannot hold its own hash.
         files = list_files(self._root, frozenset({LIST}))
         write_json(self._root / LIST, {KEY: files})
         images = [key for key in self._features if key.startswith(tuple(IMAGES.values()))]
@@ -346,6 +359,7 @@ def _shown(
     chosen = sampled(length)
     for t in range(length):
         frame = episode.frame(camera, "rgb", t)
+        # A sample of the frames is enough for means per channel, and all of them would not fit in memory.
         if t in chosen:
             samples.append(frame)
         yield frame
@@ -355,10 +369,12 @@ def _column_stats(values: Any) -> Stats:
     if not isinstance(values, np.ndarray):
         chosen = sampled(len(values))
         return image_stats(np.stack([values[t] for t in sorted(chosen)]))
+    # Numbers and vectors have statistics per column; maps and clouds have too many of them.
     if values.ndim < 3:
         return vector_stats(values)
     if values.shape[2] == len(CHANNELS):
         stats = vector_stats(values.reshape(-1, len(CHANNELS)))
+        # LeRobot counts frames, and the statistics were made over points.
         return {**stats, "count": np.array([len(values)])}
     return map_stats(values)
 
@@ -368,8 +384,10 @@ def psnr(wanted: Sequence[np.ndarray], shown: Iterable[np.ndarray]) -> float:
     height, width = wanted[0].shape[:2]
     errors = [
         np.square(image.astype(np.float64) - frame[:height, :width]).mean()
+        # Films of odd size have a row or a column more, and nothing is shown where nothing reads films.
         for image, frame in zip(wanted, shown, strict=False)
     ]
     if not errors:
         return 0.0
+    # The floor keeps a film without any loss finite.
     return round(float(10 * np.log10(255**2 / max(np.mean(errors), 1e-9))), 1)

@@ -19,6 +19,7 @@ from mjhab.data.store.reading import RecordedEpisode
 FPS = round(1 / STEP_SECONDS)
 STATE = "observation.state"
 """Proprioception: joints, velocity of the base, tcp pose."""
+# LeRobot's policies feed this key to the network on its own, as state that sensors do not give.
 ENVIRONMENT_STATE = "observation.environment_state"
 """Privileged state: object, goal, grasp. A policy for a real robot must not use it."""
 TELEPORTED = "is_teleported"
@@ -98,7 +99,10 @@ def describe(
     action_size = outside.actions(episode, choice.actions)[0].shape[1]
     names = [str(each["name"]) for each in outside.columns(episode.run, choice.actions)]
     action = _feature(
-        "float32", (action_size,), names if len(names) == action_size else None
+        # Entries of several numbers, or a mode without names, must not name the wrong columns.
+        "float32",
+        (action_size,),
+        names if len(names) == action_size else None,
     )
     features: Features = {
         STATE: _state_feature(own, episode),
@@ -132,6 +136,7 @@ def describe(
         if output in IMAGES and getattr(choice, output)
     ]
     for camera, output in chosen:
+        # Sizes of images are read from a frame, since cameras of one episode may differ in size.
         height, width = episode.frame(camera, output, 0).shape[:2]
         key = f"{IMAGES[output]}.{camera}"
         if output in MAPS:
@@ -143,6 +148,7 @@ def describe(
             features[key] = _film_feature(height, width)
     paths = set(episode.paths)
     for camera in dict.fromkeys(camera for camera, _ in chosen):
+        # Cameras of the scene have no pose per frame: their calibration says it once.
         if CAMERA_POSE_PATH.format(camera) in paths:
             features[f"{CAMERA_POSE}.{camera}"] = _feature(
                 "float32", (4, 4), ["row", "column"]

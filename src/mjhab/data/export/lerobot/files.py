@@ -119,11 +119,13 @@ class Files30:
             {
                 **row,
                 **_flat(each),
+                # One file holds the rows of all episodes; LeRobot looks up its number in each row.
                 "meta/episodes/chunk_index": 0,
                 "meta/episodes/file_index": 0,
             }
             for row, each in zip(episodes, stats, strict=True)
         ]
+        # Rows of episodes are a few kB each, so that they never reach the size of a second file.
         path = _folder(self.root / "meta/episodes/chunk-000/file-000.parquet")
         pq.write_table(pa.Table.from_pylist(rows), path, compression=_COMPRESSION)
         whole = aggregate(stats)
@@ -140,12 +142,15 @@ class Files30:
         found = {}
         for key, kind in zip(*_schema(paths[0]), strict=True):
             wide = pa.types.is_fixed_size_list(kind)
+            # Images and maps keep the quantiles of their samples: all their pixels would not fit in memory.
             if key not in stats or (pa.types.is_nested(kind) and not wide):
                 continue
             parts = [pq.read_table(path, columns=[key]).column(key) for path in paths]
+            # The flatten of a chunked array splits structures and leaves lists as they are.
             chunks = [chunk for part in parts for chunk in part.chunks]
             rows = [chunk.flatten() if wide else chunk for chunk in chunks]
             values = np.concatenate([row.to_numpy(zero_copy_only=False) for row in rows])
+            # Quantiles of bool and integer columns interpolate between values.
             columns = values.reshape(-1, kind.list_size if wide else 1).astype(np.float64)
             found[key] = quantiles_of(columns)
         return found
@@ -182,6 +187,7 @@ class Files21:
 
     def arrange(self, parts: EpisodeParts, made: Sequence[ExportedEpisode]) -> None:
         """See `Files`."""
+        # Only now is the number of episodes known, and info.json of v2.1 must hold it.
         self.paths["total_chunks"] = -(-len(made) // CHUNK)
         self.paths["total_videos"] = sum(len(each.films) for each in made)
         for number, each in enumerate(made):
@@ -231,6 +237,7 @@ def _packed(sizes: Sequence[int], most: int) -> list[list[int]]:
     groups: list[list[int]] = []
     total = 0
     for number, size in enumerate(sizes):
+        # The first test lets an episode that is larger than a file be a file of its own.
         if not groups or total + size > most:
             groups.append([])
             total = 0

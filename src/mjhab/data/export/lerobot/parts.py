@@ -80,6 +80,7 @@ class EpisodeParts:
 
     def made(self, number: int) -> ExportedEpisode | None:
         """Metadata of a finished episode; None if it is not finished."""
+        # The metadata are written last, so that they alone tell whether the other parts are whole.
         path = self._path(number, "json")
         if not path.exists():
             return None
@@ -105,6 +106,7 @@ class EpisodeParts:
                 film.add(frame)
             film.close()
         except BaseException:
+            # An encoder that is left open would keep its process and an unreadable file.
             film.abort()
             raise
         _sync(path)
@@ -123,6 +125,7 @@ class EpisodeParts:
             for key, each in made.stats.items()
         }
         text = json.dumps(plain, ensure_ascii=False)
+        # A half-written file here would make an unfinished episode look finished.
         write_atomic(
             self._path(number, "json"),
             lambda path: path.write_text(text, encoding="utf-8"),
@@ -152,15 +155,19 @@ class EpisodeParts:
         join: Callable[[Sequence[Path], Path], object],
     ) -> None:
         paths = [self._path(number, kind) for number in numbers]
+        # An interrupted call may have joined them already and died before it deleted the parts.
         if not out.exists():
             out.parent.mkdir(parents=True, exist_ok=True)
             whole = paths[0]
+            # A single part is moved, not copied: re-encoding or copying a film costs time and disk.
             if len(paths) > 1:
                 whole = below(self._folder, f"joined.{kind}")
                 join(paths, whole)
+                # The parts are deleted below, so the joined file must be on the disk first.
                 _sync(whole)
             os.replace(whole, out)
         for path in paths:
+            # The only part was moved, and an earlier call may have deleted some.
             path.unlink(missing_ok=True)
 
     def _path(self, number: int, kind: str) -> Path:

@@ -69,7 +69,9 @@ def rows_of(
     choice, outside = asked
     own, task = state_parts(episode, choice)
     done = np.zeros(count, bool)
+    # An exported episode ends where it was cut, also where the simulation went on.
     done[-1] = True
+    # The pointer is one past the plan once the plan is finished.
     active = np.minimum(
         episode.array("subtasks/active")[:count], len(numbers.subtasks) - 1
     )
@@ -99,6 +101,7 @@ def rows_of(
         clouds = Clouds(episode, choice.points, outside.base_height(episode.run))
         columns[POINTS] = np.stack([clouds.at(t) for t in range(count)])
     if LANGUAGE in features:
+        # LeRobot reads the persistent column from any frame, so that every row repeats it.
         columns[LANGUAGE] = [language_rows(episode.annotations, count)] * count
     return columns
 
@@ -106,6 +109,7 @@ def rows_of(
 def _skill_column(told: Annotations, count: int, skills: Mapping[str, int]) -> np.ndarray:
     column = np.full(count, skills[""], np.int64)
     for each in told.skills:
+        # Slices clip at the end of a cut episode by themselves.
         column[each.start : each.end] = skills[each.skill]
     return column
 
@@ -118,6 +122,7 @@ def _seen(episode: RecordedEpisode, count: int, features: Features) -> dict[str,
         if key not in features:
             continue
         if output in MAPS:
+            # The only channel goes: LeRobot's maps are (H, W).
             frames = [episode.frame(camera, output, t)[..., 0] for t in range(count)]
             columns[key] = np.stack(frames).astype(MAPS[output])
         elif features[key]["dtype"] == "image":
@@ -135,6 +140,7 @@ def language_rows(told: Annotations, count: int) -> list[dict[str, Any]]:
 
     def row(style: str, content: str, frame: int) -> dict[str, Any]:
         return {
+            # LeRobot's chat templates take the task as the user's turn and steps as the assistant's.
             "role": "user" if style == "task_aug" else "assistant",
             "content": content,
             "style": style,
@@ -143,6 +149,7 @@ def language_rows(told: Annotations, count: int) -> list[dict[str, Any]]:
             "tool_calls": None,
         }
 
+    # Of a chain each subtask has its own wordings, and none of them asks for the whole.
     wordings = told.wordings[0] if len(told.wordings) == 1 else ()
     return [
         *(row("task_aug", text, 0) for text in wordings),
@@ -192,7 +199,9 @@ def _array(values: np.ndarray) -> pa.Array:
         return pa.FixedSizeListArray.from_arrays(flat, values.shape[1])
     count, height, width = values.shape
     rows = pa.ListArray.from_arrays(
-        pa.array(np.arange(count * height + 1, dtype=np.int32) * width), flat
+        # Offsets of a ListArray are int32 in Arrow.
+        pa.array(np.arange(count * height + 1, dtype=np.int32) * width),
+        flat,
     )
     return pa.ListArray.from_arrays(
         pa.array(np.arange(count + 1, dtype=np.int32) * height), rows
@@ -204,6 +213,7 @@ def _pictures(frames: Sequence[np.ndarray]) -> pa.Array:
     from mjhab.data.store.images import ImageFormat, encode
 
     rows = [
+        # PNG, because a user who asked for images and not for films wants no loss.
         {"bytes": encode(frame, "rgb", ImageFormat("png")), "path": None}
         for frame in frames
     ]

@@ -16,12 +16,14 @@ QUANTILES: dict[str, float] = {
     "q99": 0.99,
 }
 """Quantiles of LeRobot v3.0 (lerobot/datasets/compute_stats.py)."""
+# The smallest sample in LeRobot's own statistics (compute_stats.py, estimate_num_samples).
 _FRAMES = 100
 """Approximate number of images per episode that the statistics use."""
 
 
 def vector_stats(values: np.ndarray) -> Stats:
     """Statistics per column of a feature (N, D) or (N,): arrays (D,) or (1,)."""
+    # In float32 the variance of a long column with a large mean loses its digits.
     return _stats(values.reshape(len(values), -1).astype(np.float64), len(values))
 
 
@@ -42,6 +44,7 @@ def image_stats(images: np.ndarray) -> Stats:
 def sampled(count: int) -> frozenset[int]:
     """Indices of the images, out of ``count``, that the statistics use."""
     return frozenset(
+        # Evenly spread: the first frames alone would show the start pose only.
         np.linspace(0, count - 1, min(count, _FRAMES)).round().astype(int).tolist()
     )
 
@@ -55,7 +58,10 @@ def aggregate(parts: Sequence[Mapping[str, Stats]]) -> dict[str, Stats]:
         weights = [stats["count"].item() / count.item() for stats in each]
 
         def mean(
-            name: str, each: list[Stats] = each, weights: list[float] = weights
+            # Bound as defaults, since a closure would see the values of the last key.
+            name: str,
+            each: list[Stats] = each,
+            weights: list[float] = weights,
         ) -> np.ndarray:
             return np.sum(
                 [w * stats[name] for w, stats in zip(weights, each, strict=True)], axis=0
@@ -63,6 +69,7 @@ def aggregate(parts: Sequence[Mapping[str, Stats]]) -> dict[str, Stats]:
 
         centre = mean("mean")
         spread = [
+            # Variance within episodes, and that between their means.
             w * (s["std"] ** 2 + (s["mean"] - centre) ** 2)
             for w, s in zip(weights, each, strict=True)
         ]

@@ -45,6 +45,7 @@ def finish_change(path: Path) -> bool:
         journal.unlink()
     length = stated_length(path)
     if path.stat().st_size > length:
+        # Bytes past the stated end were appended by a change that never became valid.
         os.truncate(path, length)
     return there
 
@@ -53,6 +54,7 @@ def _apply(path: Path, journal: Path) -> None:
     data = journal.read_bytes()
     body = data[:-_DIGEST]
     whole = hashlib.sha256(body).digest() == data[-_DIGEST:]
+    # A journal that is cut off was written before the shard was touched: nothing is to be done.
     if not (whole and body.startswith(_MAGIC)):
         return
     before, after, first, count = _HEAD.unpack_from(body, len(_MAGIC))
@@ -61,6 +63,7 @@ def _apply(path: Path, journal: Path) -> None:
         page = file.read(min(_PAGE, before))
         known = (first, hashlib.sha256(pages.get(0, b"")).digest())
         size = os.fstat(file.fileno()).st_size
+        # The first page is the old one before the change and the new one if only the deletion is missing.
         if size < after or hashlib.sha256(page).digest() not in known:
             raise DamagedError(
                 f"{journal} does not belong to {path.name}, which was replaced or cut. Put back the file it belongs "

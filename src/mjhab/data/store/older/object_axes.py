@@ -25,6 +25,7 @@ def shown_objects(plan: Sequence[PlanEntry]) -> tuple[str, ...]:
     """
     shown = []
     picked = ""
+    # From the end, because an Open shows what a later entry picks.
     for entry in reversed(plan):
         about = SUBTASKS[entry.kind].about
         if about == "object":
@@ -56,4 +57,5 @@ def headings(
     by_entry = np.array(
         [known.get(name, 0.0) for name in shown_objects(plan)], np.float64
     )
+    # A finished plan goes on showing its last object.
     return by_entry[np.minimum(active, len(plan) - 1)]

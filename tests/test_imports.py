@@ -74,17 +74,6 @@ HEAVY: dict[str, frozenset[str]] = {
 }
 """Library to the packages that may import it."""
 
-NAMES_OF_OTHERS = {
-    "EnvConfig": "mshab.envs.make",
-    "FrameStack": "mshab.envs.wrappers.observation",
-    "SequentialTaskEnv": "mshab.envs.sequential_task",
-    "Subtask": "mshab.envs.planner",
-    "SubtaskConfig": "mshab.envs.planner",
-    "TaskPlan": "mshab.envs.planner",
-    "Pose": "mani_skill.utils.structs.pose",
-}
-"""Names that a class of `mjhab.compat` shares with one of ours, because scripts import it by that name from there."""
-
 MOST_FILES = 15
 """Files beside the subfolders of a folder."""
 EXAMPLES = SOURCE / "examples"
@@ -261,15 +250,7 @@ def test_class_names_are_unique() -> None:
             if isinstance(node, ast.ClassDef):
                 places.setdefault(node.name, []).append(module_of(path))
     shared = {name: found for name, found in places.items() if len(found) > 1}
-    theirs = {
-        name: [module for module in found if module.startswith("mjhab.compat.")]
-        for name, found in shared.items()
-        if name in NAMES_OF_OTHERS
-    }
-    assert theirs.keys() == NAMES_OF_OTHERS.keys(), "one of them is unique by now"
-    assert all(len(found) == 1 == len(shared[name]) - 1 for name, found in theirs.items())
-    ours = {name: found for name, found in shared.items() if name not in theirs}
-    assert not ours, f"several classes of one name: {ours}"
+    assert not shared, f"several classes of one name: {shared}"
 
 
 def test_the_rule_can_be_broken(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -14,16 +14,16 @@ import torch
 from scipy.spatial.transform import Rotation
 
 import mjhab.compat.mshab  # noqa: F401  (registers the ids)
-from mjhab.compat.mshab.files.plans import TaskPlan
+from mjhab.compat.mshab.files.plans import MsHabTaskPlan
 from mjhab.compat.mshab.files.subtasks import OpenSubtask, PickSubtask
 from mjhab.compat.mshab.worlds.arguments import Arguments, read_arguments
 from mjhab.compat.mshab.worlds.draws import PlanDraw
 from mjhab.compat.mshab.worlds.limits import default_configs, overrides_of
-from mjhab.compat.mshab.worlds.pose import Pose
+from mjhab.compat.mshab.worlds.pose import PoseBatch
 from mjhab.compat.mshab.wrappers.action import FetchActionWrapper
 from mjhab.compat.mshab.wrappers.observation import (
+    DepthFrameStack,
     FetchDepthObservationWrapper,
-    FrameStack,
     StackedDictObservationWrapper,
 )
 from mjhab.compat.mshab.wrappers.record import RecordEpisode
@@ -257,7 +257,7 @@ def test_seeds_decide_episodes(env: Any) -> None:
 
 def test_wrappers_stack_depth_and_hold_the_head_still(env: Any) -> None:
     bare = made(max_episode_steps=2)
-    seen = FrameStack(FetchDepthObservationWrapper(bare), 3)
+    seen = DepthFrameStack(FetchDepthObservationWrapper(bare), 3)
     space = bare.unwrapped.single_observation_space
     assert list(space["pixels"].spaces) == ["fetch_head_depth", "fetch_hand_depth"]
     assert space["pixels"]["fetch_head_depth"].shape == (3, 1, 16, 16)
@@ -407,7 +407,7 @@ class _Starts:
     def __init__(self) -> None:
         self.options: dict[str, Any] = {}
         self.plans = [
-            TaskPlan([PickSubtask("024_bowl-0")], f"home{i // 2}.json", f"e{i}.json")
+            MsHabTaskPlan([PickSubtask("024_bowl-0")], f"home{i // 2}.json", f"e{i}.json")
             for i in range(6)
         ]
 
@@ -471,8 +471,10 @@ def test_the_number_of_worlds_must_fit_the_homes() -> None:
 
 
 def test_arguments_that_cannot_be_honoured_are_refused() -> None:
-    plan = TaskPlan([OpenSubtask("fridge", "fridge-0", 2, 0, "013_apple-0", [0, 0, 0])])
-    pick = TaskPlan([PickSubtask("024_bowl-0")])
+    plan = MsHabTaskPlan(
+        [OpenSubtask("fridge", "fridge-0", 2, 0, "013_apple-0", [0, 0, 0])]
+    )
+    pick = MsHabTaskPlan([PickSubtask("024_bowl-0")])
     for given, option, said in (
         ({"robot_uids": "panda"}, "robot_uids", "'fetch'"),
         ({"obs_mode": "dept"}, "obs_mode", "depth"),
@@ -535,7 +537,7 @@ def test_limits_become_our_options() -> None:
 def test_poses_multiply_and_invert() -> None:
     generator = torch.Generator().manual_seed(0)
     quat = torch.nn.functional.normalize(torch.randn(5, 4, generator=generator), dim=1)
-    pose = Pose.create_from_pq(torch.randn(5, 3, generator=generator), quat)
+    pose = PoseBatch.create_from_pq(torch.randn(5, 3, generator=generator), quat)
     whole = pose.to_transformation_matrix()
     assert torch.allclose(
         (pose * pose.inv()).to_transformation_matrix(),

@@ -10,8 +10,8 @@ from typing import Any
 import pytest
 
 from mjhab.compat.mshab.files.plans import (
+    MsHabTaskPlan,
     PlanData,
-    TaskPlan,
     plan_data_from_file,
     task_of_dataset,
     write_plan_data,
@@ -19,14 +19,14 @@ from mjhab.compat.mshab.files.plans import (
 from mjhab.compat.mshab.files.subtasks import (
     ArticulationConfig,
     CloseSubtask,
+    MsHabSubtask,
+    MsHabSubtaskConfig,
     NavigateSubtask,
     OpenSubtask,
     OpenSubtaskConfig,
     PickSubtask,
     PlaceSubtask,
     PlaceSubtaskConfig,
-    Subtask,
-    SubtaskConfig,
 )
 from mjhab.data.imports.ms_hab_layout import dataset_name
 from tests.refusals import refused
@@ -37,11 +37,11 @@ SCENE = "v3_sc3_staging_00.scene_instance.json"
 EPISODE = "val/set_table/episode_0.json"
 
 
-def all_kinds() -> list[Subtask]:
+def all_kinds() -> list[MsHabSubtask]:
     door = dataclasses.asdict(DOOR)
     handle = [0.09, -0.66, 0.2]
     apple = "013_apple-0"
-    kinds: list[Subtask] = [
+    kinds: list[MsHabSubtask] = [
         PickSubtask("013_apple-0", DOOR),
         PlaceSubtask("013_apple-0", SQUARE, [0.5, 0.5, 1.0]),
         NavigateSubtask("013_apple-0", goal_pos=[1.0, 2.0, 3.0]),
@@ -67,7 +67,7 @@ def plan_file(folder: Path, *subtasks: Any, **changes: Any) -> Path:
 
 
 def test_what_is_written_is_read_again(tmp_path: Path) -> None:
-    plans = [TaskPlan([subtask], SCENE, EPISODE) for subtask in all_kinds()]
+    plans = [MsHabTaskPlan([subtask], SCENE, EPISODE) for subtask in all_kinds()]
     data = PlanData("ReplicaCADSetTableVal", plans)
     path = tmp_path / "deep" / "all.json"
     write_plan_data(path, data)
@@ -183,7 +183,7 @@ def test_values_that_limits_and_zones_cannot_have() -> None:
         PlaceSubtask("024_bowl-0", SQUARE[:3])
     PlaceSubtask("024_bowl-0", skew, validate_goal_rectangle_corners=False)
     with refused("horizon", 0):
-        SubtaskConfig(0, horizon=0)
+        MsHabSubtaskConfig(0, horizon=0)
     with refused("goal_type", "ring", "zone"):
         PlaceSubtaskConfig(goal_type="ring")
     with refused("joint_qpos_open_thresh_frac", {}):

@@ -21,7 +21,7 @@ from mjhab.compat.mshab.files.matching import object_name
 from mjhab.compat.mshab.files.navigable import FOLDER, read_map
 from mjhab.compat.mshab.files.plan_requests import PlanRequest
 from mjhab.compat.mshab.files.plan_starts import PlanStarts, plan_starts
-from mjhab.compat.mshab.files.plans import PlanData, TaskPlan, plan_data_from_file
+from mjhab.compat.mshab.files.plans import MsHabTaskPlan, PlanData, plan_data_from_file
 from mjhab.compat.mshab.files.spawn_data import (
     read_grasp_poses,
     read_spawn_data,
@@ -82,7 +82,7 @@ def source(**options: Any) -> EpisodeSource:
     return EpisodeSource(sim, config, thresholds, setting.file)
 
 
-def index_of(plan: TaskPlan) -> int:
+def index_of(plan: MsHabTaskPlan) -> int:
     """Index of the episode of a plan."""
     return int(str(plan.init_config_name).rpartition("_")[2].removesuffix(".json"))
 

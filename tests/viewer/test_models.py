@@ -19,7 +19,7 @@ from mjhab.scenes.builtin.materials import Material
 from mjhab.scenes.builtin.pack import builtin_pack
 from mjhab.scenes.shapes.meshes import Mesh
 from mjhab.viewer.drawn import glb as glb_file
-from mjhab.viewer.drawn.posing import MAX_JUMP_M, Pose, Poser, between
+from mjhab.viewer.drawn.posing import MAX_JUMP_M, PosedWorld, Poser, between
 
 
 @pytest.fixture(scope="module")
@@ -159,11 +159,11 @@ def test_a_robot_in_a_wall_touches_it(env: Any) -> None:
 
 def test_between_two_poses() -> None:
     still = np.array([[1.0, 0.0, 0.0, 0.0]])
-    a = Pose(np.zeros((1, 3)), still, np.zeros((0, 3)))
-    b = Pose(np.full((1, 3), 0.1), -still, np.ones((1, 3)))
+    a = PosedWorld(np.zeros((1, 3)), still, np.zeros((0, 3)))
+    b = PosedWorld(np.full((1, 3), 0.1), -still, np.ones((1, 3)))
     middle = between(a, b, 0.5)
     np.testing.assert_allclose(middle.pos, 0.05)
     np.testing.assert_allclose(middle.quat, still)
-    far = Pose(np.full((1, 3), MAX_JUMP_M), still, np.zeros((0, 3)))
+    far = PosedWorld(np.full((1, 3), MAX_JUMP_M), still, np.zeros((0, 3)))
     assert not between(a, far, 0.9).pos.any()
     np.testing.assert_allclose(between(a, far, 1.0).pos, far.pos)

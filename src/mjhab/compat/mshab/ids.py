@@ -11,7 +11,7 @@ IDS: dict[str, tuple[str, int | None]] = {
     "OpenSubtaskTrain-v0": ("OpenSubtaskTrainEnv", 200),
     "CloseSubtaskTrain-v0": ("CloseSubtaskTrainEnv", 200),
     "NavigateSubtaskTrain-v0": ("NavigateSubtaskTrainEnv", 1000),
-    "SequentialTask-v0": ("SequentialTaskEnv", None),
+    "SequentialTask-v0": ("MsHabSequentialTaskEnv", None),
 }
 """Id to its class in `worlds.kinds`, and the control steps of an episode that is not told another number."""
 

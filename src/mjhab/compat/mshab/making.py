@@ -13,8 +13,8 @@ from mjhab.compat.mshab.files.plans import plan_data_from_file
 from mjhab.compat.mshab.wrappers.action import FetchActionWrapper
 from mjhab.compat.mshab.wrappers.observation import (
     DEPTH_KEYS,
+    DepthFrameStack,
     FetchDepthObservationWrapper,
-    FrameStack,
     StackedDictObservationWrapper,
 )
 from mjhab.compat.mshab.wrappers.record import RecordEpisode
@@ -46,7 +46,7 @@ def recursive_fix_env_kwargs(env_kwargs: Any, inplace: bool = False) -> Any:
 
 
 @dataclass
-class EnvConfig:
+class MsHabEnvConfig:
     """What `make_env` makes.
 
     Attributes:
@@ -95,8 +95,12 @@ class EnvConfig:
         self.env_kwargs = recursive_fix_env_kwargs(self.env_kwargs)
 
 
+EnvConfig = MsHabEnvConfig
+"""The name by which scripts import it."""
+
+
 def make_env(
-    env_cfg: EnvConfig,
+    env_cfg: MsHabEnvConfig,
     video_path: str | Path | None = None,
     wrappers: Sequence[Callable[[gymnasium.Env], gymnasium.Env]] = (),
 ) -> VectorRecordEpisodeStatistics:
@@ -142,7 +146,7 @@ def make_env(
     )
 
 
-def _file_arguments(config: EnvConfig) -> dict[str, Any]:
+def _file_arguments(config: MsHabEnvConfig) -> dict[str, Any]:
     """Arguments of the environment, with the plans of the file for those that are not given."""
     given = dict(config.env_kwargs)
     if config.task_plan_fp is not None:
@@ -154,20 +158,20 @@ def _file_arguments(config: EnvConfig) -> dict[str, Any]:
     return given
 
 
-def _observed(env: gymnasium.Env, config: EnvConfig) -> gymnasium.Env:
+def _observed(env: gymnasium.Env, config: MsHabEnvConfig) -> gymnasium.Env:
     env = FetchDepthObservationWrapper(
         env, cat_state=config.cat_state, cat_pixels=config.cat_pixels
     )
     if config.frame_stack is not None:
         keys = ("all_depth",) if config.cat_pixels else DEPTH_KEYS
-        return FrameStack(env, config.frame_stack, keys)
+        return DepthFrameStack(env, config.frame_stack, keys)
     if config.stack is not None:
         return StackedDictObservationWrapper(env, config.stack)
     return env
 
 
 def _filmed(
-    env: gymnasium.Env, config: EnvConfig, folder: str | Path | None
+    env: gymnasium.Env, config: MsHabEnvConfig, folder: str | Path | None
 ) -> gymnasium.Env:
     if config.debug_video:
         warn_once("debug_video: films are those of record_video with info_on_video.")

@@ -11,7 +11,7 @@ import numpy as np
 from mjhab.core.rotations import mat_from_quat
 from mjhab.render.home_scene import HomeRenderer
 from mjhab.sim.mujoco.cpu import CpuSimulator
-from mjhab.viewer.drawn.posing import Pose
+from mjhab.viewer.drawn.posing import PosedWorld
 
 CAMERA_SIDE_PX = 192
 CLOSE_SECONDS = 5.0
@@ -46,13 +46,13 @@ class CameraThread:
         self._side = side
         self._sim: CpuSimulator | None = None
         self._renderer: HomeRenderer | None = None
-        self._newest: tuple[CpuSimulator, str, Pose] | None = None
+        self._newest: tuple[CpuSimulator, str, PosedWorld] | None = None
         self._changed = threading.Condition()
         self._closing = False
         self._thread = threading.Thread(target=self._run, name="cameras", daemon=True)
         self._thread.start()
 
-    def look(self, sim: CpuSimulator, home: str, pose: Pose) -> None:
+    def look(self, sim: CpuSimulator, home: str, pose: PosedWorld) -> None:
         """Request the images of a pose in a home."""
         with self._changed:
             self._newest = (sim, home, pose)
@@ -84,7 +84,9 @@ class CameraThread:
             except Exception as error:
                 self.problem = f"cameras: {type(error).__name__}: {error}"
 
-    def draw(self, sim: CpuSimulator, home: str, pose: Pose) -> dict[str, np.ndarray]:
+    def draw(
+        self, sim: CpuSimulator, home: str, pose: PosedWorld
+    ) -> dict[str, np.ndarray]:
         """Render the images (side, side, 3) uint8 of a pose by camera name; builds a renderer for a new simulator."""
         if self._renderer is None or sim is not self._sim:
             # Not the environment's renderer, which may be in use in another thread.

@@ -18,7 +18,7 @@ MIN_HEIGHT_M = -5.0
 
 
 @dataclass(frozen=True, eq=False)
-class Pose:
+class PosedWorld:
     """World poses of the bodies of one world: pos (B, 3) [m], quat (B, 4) wxyz.
 
     contacts: (C, 3) positions of contacts between the robot and other things [m].
@@ -34,7 +34,7 @@ class Pose:
         return self.pos[:, 2] < MIN_HEIGHT_M
 
 
-def base_of(pose: Pose, sim: CpuSimulator) -> np.ndarray:
+def base_of(pose: PosedWorld, sim: CpuSimulator) -> np.ndarray:
     """Return the pose (3,) of the robot's base: x, y [m] and yaw [rad]."""
     body = sim.addresses.robot_body[sim.layout.robot.base_link]
     return np.append(pose.pos[body, :2], yaw_from_quat(pose.quat[body]))
@@ -53,7 +53,7 @@ class Poser:
         self._data: mujoco.MjData | None = None
         self._robot = np.zeros(0, bool)
 
-    def pose(self, home: str, qpos: np.ndarray) -> Pose:
+    def pose(self, home: str, qpos: np.ndarray) -> PosedWorld:
         """Compute the pose of all bodies, and the robot's contacts, for generalized positions ``qpos`` (nq,)."""
         model = self._sim.model(home)
         if self._data is None or home != self._home:
@@ -66,7 +66,9 @@ class Poser:
         mujoco.mj_kinematics(model, data)
         mujoco.mj_comPos(model, data)
         mujoco.mj_collision(model, data)
-        return Pose(data.xpos.copy(), data.xquat.copy(), self._contacts(model, data))
+        return PosedWorld(
+            data.xpos.copy(), data.xquat.copy(), self._contacts(model, data)
+        )
 
     def _contacts(self, model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
         """(C, 3) positions [m] of penetrating contacts between the robot and other geoms (it does not touch floors)."""
@@ -84,7 +86,7 @@ def _robot_bodies(model: mujoco.MjModel, spec: Robot) -> np.ndarray:
     return robot
 
 
-def between(a: Pose, b: Pose, share: float) -> Pose:
+def between(a: PosedWorld, b: PosedWorld, share: float) -> PosedWorld:
     """Interpolate from ``a`` to ``b`` at ``share`` (0 to 1); bodies that jump stay at ``a`` until ``share`` is 1."""
     jumped = np.linalg.norm(b.pos - a.pos, axis=1) > MAX_JUMP_M
     weight = np.where(jumped, np.floor(share), share)[:, None]
@@ -92,4 +94,4 @@ def between(a: Pose, b: Pose, share: float) -> Pose:
     quat = (1.0 - weight) * a.quat + weight * sign * b.quat
     quat /= np.linalg.norm(quat, axis=1, keepdims=True)
     pos = a.pos + weight * (b.pos - a.pos)
-    return Pose(pos, quat, b.contacts if share >= 0.5 else a.contacts)
+    return PosedWorld(pos, quat, b.contacts if share >= 0.5 else a.contacts)

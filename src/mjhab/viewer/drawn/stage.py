@@ -12,7 +12,7 @@ from mjhab.core.rotations import quat_from_mat
 from mjhab.render.models import srgb_bytes
 from mjhab.viewer.drawn.glb import HomeFiles
 from mjhab.viewer.drawn.plan_marks import PlanMarks
-from mjhab.viewer.drawn.posing import Pose
+from mjhab.viewer.drawn.posing import PosedWorld
 
 MIN_MOVE = 1e-4
 """Smaller changes of a position [m] or of a quaternion's entry are not sent."""
@@ -76,7 +76,7 @@ class DrawnStage:
             cast_shadow=False,
         )
 
-    def show(self, home: HomeFiles, pose: Pose) -> None:
+    def show(self, home: HomeFiles, pose: PosedWorld) -> None:
         """Replace the drawn home by another one, with its bodies at ``pose``."""
         with self._server.atomic():
             for node in self._nodes:
@@ -105,7 +105,7 @@ class DrawnStage:
             )
             self._nodes.append(lamp)
 
-    def place(self, pose: Pose) -> None:
+    def place(self, pose: PosedWorld) -> None:
         """Move bodies and contact marks to a pose."""
         with self._server.atomic():
             for placed in self._placed:
@@ -195,7 +195,7 @@ class _Placed:
         name: str,
         bodies: tuple[int, ...],
         data: bytes,
-        pose: Pose,
+        pose: PosedWorld,
     ) -> None:
         self._bodies = list(bodies)
         self._pos = pose.pos[self._bodies].astype(np.float32)
@@ -210,7 +210,7 @@ class _Placed:
                 name, data, self._quat, self._pos, lod="off", cast_shadow=False
             )
 
-    def move(self, pose: Pose) -> int:
+    def move(self, pose: PosedWorld) -> int:
         """Send the poses of the bodies if any moved by more than `MIN_MOVE`; returns the number of messages."""
         pos = pose.pos[self._bodies].astype(np.float32)
         quat = pose.quat[self._bodies].astype(np.float32)

@@ -24,7 +24,7 @@ from mjhab.sim.mujoco.cpu import CpuSimulator
 from mjhab.viewer.drawn.cameras import CameraThread
 from mjhab.viewer.drawn.glb import HomeFiles, home_digest, home_files
 from mjhab.viewer.drawn.handle import PoseHandle
-from mjhab.viewer.drawn.posing import Pose, Poser, base_of, between
+from mjhab.viewer.drawn.posing import PosedWorld, Poser, base_of, between
 from mjhab.viewer.drawn.stage import MIN_MOVE, DrawnStage
 from mjhab.viewer.pages.gateway import Gateway
 from mjhab.viewer.pages.panels import Panels
@@ -168,7 +168,7 @@ class Viewer:
             last = now
             time.sleep(max(0.0, FRAME_SECONDS - (time.perf_counter() - now)))
 
-    def frame(self, seconds: float) -> Pose | None:
+    def frame(self, seconds: float) -> PosedWorld | None:
         """Send the next frame, ``seconds`` of real time after the one before.
 
         Returns:
@@ -216,7 +216,7 @@ class Viewer:
 
         return home_files(sim.layout, home, make)
 
-    def _aim(self, pose: Pose, sim: CpuSimulator, home: str) -> None:
+    def _aim(self, pose: PosedWorld, sim: CpuSimulator, home: str) -> None:
         """Move the cameras of all pages to the pose of the follow camera (see `FollowCamera`)."""
         eye, target = FollowCamera(sim.model).look(home, base_of(pose, sim))
         self._server.initial_camera.position = eye
@@ -225,7 +225,7 @@ class Viewer:
             client.camera.position = eye
             client.camera.look_at = target
 
-    def _follow(self, pose: Pose, sim: CpuSimulator) -> None:
+    def _follow(self, pose: PosedWorld, sim: CpuSimulator) -> None:
         """Translate the cameras of all pages by the motion of the robot's base, if "Follow" is checked."""
         base = pose.pos[sim.addresses.robot_body[sim.layout.robot.base_link]]
         moved = base - self._base
@@ -234,7 +234,7 @@ class Viewer:
             for client in self._server.get_clients().values():
                 client.camera.position = client.camera.position + moved
 
-    def _mark(self, track: Track, step: int, pose: Pose, sim: CpuSimulator) -> None:
+    def _mark(self, track: Track, step: int, pose: PosedWorld, sim: CpuSimulator) -> None:
         moment = track.moments[step]
         tcp = pose.pos[sim.addresses.robot_body[sim.layout.robot.tcp]]
         self.stage.mark_grasp(tcp if moment.checks[_GRASPED] else None)
@@ -243,13 +243,13 @@ class Viewer:
         point = np.asarray(goal, float) if goal is not None else np.zeros(0)
         self.stage.mark_goal(point if point.shape == (3,) and point.any() else None)
 
-    def _show_handle(self, pose: Pose, sim: CpuSimulator) -> None:
+    def _show_handle(self, pose: PosedWorld, sim: CpuSimulator) -> None:
         """Show the handle of the hand while the newest state of a world that is driven by hand is shown."""
         root = sim.addresses.robot_body[sim.layout.robot.arm_root]
         shown = self.source.hand_pose if self.playhead.following else None
         self._handle.show(np.concatenate([pose.pos[root], pose.quat[root]]), shown)
 
-    def _look(self, pose: Pose) -> None:
+    def _look(self, pose: PosedWorld) -> None:
         if self._cameras is not None and self.clients and self._shown is not None:
             self._cameras.look(self.source.sim, self._shown_home, pose)
 
@@ -321,9 +321,9 @@ class _PoseCache:
     def __init__(self) -> None:
         self._sim: CpuSimulator | None = None
         self._poser: Poser | None = None
-        self._known: dict[tuple[int, int], Pose] = {}
+        self._known: dict[tuple[int, int], PosedWorld] = {}
 
-    def at(self, sim: CpuSimulator, track: Track, now: float) -> Pose:
+    def at(self, sim: CpuSimulator, track: Track, now: float) -> PosedWorld:
         """Return the pose at the position ``now`` [control steps] of a track, interpolated between two states."""
         if self._poser is None or sim is not self._sim:
             self._poser = Poser(sim)

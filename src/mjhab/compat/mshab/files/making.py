@@ -29,8 +29,8 @@ from mjhab.compat.mshab.files.matching import (
 )
 from mjhab.compat.mshab.files.navigable import FOLDER, write_map
 from mjhab.compat.mshab.files.plans import (
+    MsHabTaskPlan,
     PlanData,
-    TaskPlan,
     write_plan_data,
 )
 from mjhab.compat.mshab.files.spawn_data import (
@@ -40,9 +40,9 @@ from mjhab.compat.mshab.files.spawn_data import (
 )
 from mjhab.compat.mshab.files.spawned_states import SpawnedStates
 from mjhab.compat.mshab.files.subtasks import (
+    MsHabSubtask,
     NavigateSubtask,
     PlaceSubtask,
-    Subtask,
 )
 from mjhab.config.env import EnvConfig, task_config
 from mjhab.core.errors import unknown_name
@@ -82,7 +82,7 @@ class MadePlans:
 class _Planned:
     """A plan of one subtask of an episode, and its spawn."""
 
-    subtask: Subtask
+    subtask: MsHabSubtask
     entry: Spawns
     target: str
 
@@ -94,7 +94,7 @@ class _EpisodePlans:
     scene: str
     name: str
     singles: dict[str, list[_Planned]]
-    whole: list[Subtask]
+    whole: list[MsHabSubtask]
     left_out: int
 
 
@@ -185,7 +185,7 @@ class _Factory:
         write_init_config(self.out, name, self.layout, episode)
         plan = chain(episode.task, episode.targets, episode.home)
         singles: dict[str, list[_Planned]] = {kind: [] for kind in self.starts}
-        whole: list[Subtask] = []
+        whole: list[MsHabSubtask] = []
         left_out = 0
         for position, own in enumerate(plan.subtasks):
             subtask = subtask_in_files(self.layout, plan, position)
@@ -223,12 +223,12 @@ class _Factory:
         self, kind: str, singles: Sequence[tuple[_EpisodePlans, _Planned]]
     ) -> list[Path]:
         """Write the plans of a kind of subtask, all and by target, and their spawns."""
-        plans: dict[str, list[TaskPlan]] = defaultdict(list)
+        plans: dict[str, list[MsHabTaskPlan]] = defaultdict(list)
         spawns: dict[str, Spawns] = {}
         for number, (part, one) in enumerate(singles):
             self._name(one.subtask, kind, number, 0)
             spawns[one.subtask.uid] = one.entry
-            plan = TaskPlan([one.subtask], part.scene, part.name)
+            plan = MsHabTaskPlan([one.subtask], part.scene, part.name)
             for target in filter(None, ("all", one.target)):
                 plans[target].append(plan)
         files = [self._write_plans(kind, target, own) for target, own in plans.items()]
@@ -247,7 +247,7 @@ class _Factory:
                 if hasattr(subtask, "remove_obj_id"):
                     # What was placed is on the table, not in the drawer.
                     subtask.remove_obj_id = None  # type: ignore[attr-defined]
-            plans.append(TaskPlan(part.whole, part.scene, part.name))
+            plans.append(MsHabTaskPlan(part.whole, part.scene, part.name))
         return self._write_plans(SEQUENTIAL, "all", plans)
 
     def write_grasps(self) -> list[Path]:
@@ -283,12 +283,12 @@ class _Factory:
             files += write_map(self.out / FOLDER, scene, free)
         return files
 
-    def _name(self, subtask: Subtask, kind: str, number: int, position: int) -> None:
+    def _name(self, subtask: MsHabSubtask, kind: str, number: int, position: int) -> None:
         config = self.config
         subtask.uid = f"{config.task}-{kind}-{config.split}-{number}-{position}"
         subtask.composite_subtask_uids = [subtask.uid]
 
-    def _write_plans(self, kind: str, target: str, plans: list[TaskPlan]) -> Path:
+    def _write_plans(self, kind: str, target: str, plans: list[MsHabTaskPlan]) -> Path:
         config = self.config
         place = ("task_plans", config.task, kind, config.split, f"{target}.json")
         path = self.out.joinpath(*place)

@@ -8,16 +8,16 @@ from typing import Any
 
 import numpy as np
 
-from mjhab.compat.mshab.files.plans import TaskPlan as FilePlan
+from mjhab.compat.mshab.files.plans import MsHabTaskPlan
 from mjhab.compat.mshab.files.subtasks import (
     ArticulationConfig,
     CloseSubtask,
+    MsHabSubtask,
     NavigateSubtask,
     OpenSubtask,
     PickSubtask,
     PlaceSubtask,
 )
-from mjhab.compat.mshab.files.subtasks import Subtask as FileSubtask
 from mjhab.core.errors import wrong_value
 from mjhab.core.names import copy_name
 from mjhab.data.imports.ms_hab_layout import object_id
@@ -51,7 +51,7 @@ def furniture_of(config: ArticulationConfig) -> str:
     return config.articulation_type or config.articulation_id.rpartition("-")[0]
 
 
-def articulation_of(subtask: FileSubtask) -> ArticulationConfig | None:
+def articulation_of(subtask: MsHabSubtask) -> ArticulationConfig | None:
     """The drawer or door that a subtask of a plan is about, if it is about one."""
     if isinstance(subtask, ArticulationConfig):
         return subtask
@@ -93,7 +93,7 @@ def handle_point(layout: Layout, link: str) -> list[float]:
     return [x, z, -y]
 
 
-def position_in(chain: TaskPlan, layout: Layout, subtask: FileSubtask) -> int:
+def position_in(chain: TaskPlan, layout: Layout, subtask: MsHabSubtask) -> int:
     """Position in the chain of an episode of a subtask of a plan.
 
     Raises:
@@ -114,13 +114,13 @@ def position_in(chain: TaskPlan, layout: Layout, subtask: FileSubtask) -> int:
     return found[0]
 
 
-def _described(subtask: FileSubtask) -> str:
+def _described(subtask: MsHabSubtask) -> str:
     facts: dict[str, Any] = dataclasses.asdict(subtask)
     named = ("obj_id", "articulation_id", "goal_pos", "articulation_handle_link_idx")
     return ", ".join(f"{name} {facts[name]}" for name in named if facts.get(name))
 
 
-def _is(chain: TaskPlan, i: int, layout: Layout, subtask: FileSubtask) -> bool:
+def _is(chain: TaskPlan, i: int, layout: Layout, subtask: MsHabSubtask) -> bool:
     """Whether the subtask at position ``i`` of a chain, of the same kind, is that of a plan."""
     own = chain.subtasks[i]
     if isinstance(subtask, PickSubtask | PlaceSubtask):
@@ -144,7 +144,7 @@ def _distance(own: Vec3, subtask: NavigateSubtask) -> float:
     return float(np.linalg.norm(np.subtract(own, subtask.goal_pos)))
 
 
-def is_whole(chain: TaskPlan, plan: FilePlan) -> bool:
+def is_whole(chain: TaskPlan, plan: MsHabTaskPlan) -> bool:
     """Whether a plan has the kinds of subtasks of a chain, and their objects."""
     kinds = [own.name for own in chain.subtasks]
     if [subtask.type for subtask in plan.subtasks] != kinds:
@@ -157,7 +157,7 @@ def is_whole(chain: TaskPlan, plan: FilePlan) -> bool:
 
 
 def with_goals(
-    targets: Sequence[Target], chain: TaskPlan, found: Sequence[tuple[int, FileSubtask]]
+    targets: Sequence[Target], chain: TaskPlan, found: Sequence[tuple[int, MsHabSubtask]]
 ) -> tuple[Target, ...]:
     """Targets with the goals that plans give: of Place, and of Navigate.
 
@@ -200,7 +200,7 @@ def home_of(build_config_name: str | None) -> str:
 
 def subtask_in_files(
     layout: Layout, chain: TaskPlan, position: int
-) -> FileSubtask | None:
+) -> MsHabSubtask | None:
     """The subtask at a position of a chain as plans write it; None if MS-HAB has no plan of it.
 
     Those are Navigates in tasks that open links to the object inside.

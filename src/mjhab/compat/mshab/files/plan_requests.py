@@ -12,7 +12,7 @@ from typing import Any
 
 from mjhab.compat.mshab.files.init_configs import read_init_config
 from mjhab.compat.mshab.files.matching import home_of
-from mjhab.compat.mshab.files.plans import TaskPlan, root_above
+from mjhab.compat.mshab.files.plans import MsHabTaskPlan, root_above
 from mjhab.compat.mshab.files.spawn_data import Spawns, read_spawn_data
 from mjhab.compat.mshab.paths import REARRANGE, REPLICA_CAD
 from mjhab.core.errors import UsageError, fault, wrong_value
@@ -42,7 +42,7 @@ class PlanRequest:
         profile: see `config.profiles`.
     """
 
-    plans: Sequence[TaskPlan]
+    plans: Sequence[MsHabTaskPlan]
     dataset: str
     subtask: str = ""
     spawn_file: Path | None = None
@@ -51,7 +51,7 @@ class PlanRequest:
     profile: str = "ms_hab"
 
 
-def check_plans(plans: Sequence[TaskPlan], subtask: str) -> None:
+def check_plans(plans: Sequence[MsHabTaskPlan], subtask: str) -> None:
     """Check that plans are of a kind of subtask each, or of several subtasks if ``subtask`` is "".
 
     Raises:
@@ -143,7 +143,7 @@ def _names_of(request: PlanRequest) -> list[str]:
     return list(dict.fromkeys(names))
 
 
-def _rearrange_dir(plan: TaskPlan, spawn_file: Path | None) -> Path:
+def _rearrange_dir(plan: MsHabTaskPlan, spawn_file: Path | None) -> Path:
     """The folder of rearrangement data that a plan belongs to.
 
     It is that from which its file was read, else that which holds the spawn data, else the one among the assets.

@@ -35,7 +35,7 @@ from mjhab.compat.mshab.files.plan_requests import (
     root_of,
     spawns_of,
 )
-from mjhab.compat.mshab.files.plans import TaskPlan, task_of_dataset
+from mjhab.compat.mshab.files.plans import MsHabTaskPlan, task_of_dataset
 from mjhab.compat.mshab.files.spawn_data import ROBOT_POS, Spawns
 from mjhab.compat.mshab.files.spawned_states import SpawnedStates
 from mjhab.config.env import EnvConfig, task_config
@@ -90,7 +90,7 @@ class PlanStarts:
 
     options: Mapping[str, Any]
     rows: tuple[PlanRow, ...]
-    plans: tuple[TaskPlan, ...]
+    plans: tuple[MsHabTaskPlan, ...]
     root: Path
 
     @cached_property
@@ -210,7 +210,7 @@ class _Maker:
                 return self._single(plan, episode, row)
             return self._whole(plan, episode)
 
-    def _single(self, plan: TaskPlan, episode: Episode, row: PlanRow) -> SpawnRow:
+    def _single(self, plan: MsHabTaskPlan, episode: Episode, row: PlanRow) -> SpawnRow:
         (subtask,) = plan.subtasks
         full = chain(episode.task, episode.targets, episode.home)
         position = position_in(full, self.layout, subtask)
@@ -219,7 +219,7 @@ class _Maker:
         qpos = self.states.state(own, subtask, self.spawns[row.plan], row.spawn)
         return SpawnRow(own, qpos, position, False, 1)
 
-    def _whole(self, plan: TaskPlan, episode: Episode) -> SpawnRow:
+    def _whole(self, plan: MsHabTaskPlan, episode: Episode) -> SpawnRow:
         full = chain(episode.task, episode.targets, episode.home)
         if not is_whole(full, plan):
             kinds = [subtask.type for subtask in plan.subtasks]

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
 
-from mjhab.compat.mshab.files.subtasks import SUBTASK_CLASSES, Subtask
+from mjhab.compat.mshab.files.subtasks import SUBTASK_CLASSES, MsHabSubtask
 from mjhab.core.errors import (
     about,
     fault,
@@ -32,7 +32,7 @@ _GIVEN_BY_FILE = ("uid", "composite_subtask_uids")
 
 
 @dataclass
-class TaskPlan:
+class MsHabTaskPlan:
     """The subtasks of one episode in order.
 
     ``build_config_name``: file name of the home's scene, ``v3_sc3_staging_00.scene_instance.json``.
@@ -42,7 +42,7 @@ class TaskPlan:
     root: ClassVar[Path | None] = None
     """Of one plan: the folder of rearrangement data from which it was read. Not a field: scripts write the fields."""
 
-    subtasks: list[Subtask]
+    subtasks: list[MsHabSubtask]
     build_config_name: str | None = None
     init_config_name: str | None = None
 
@@ -52,7 +52,7 @@ class PlanData:
     """The plans of a file, and the data set they are of: ``ReplicaCADSetTableVal``."""
 
     dataset: str
-    plans: list[TaskPlan]
+    plans: list[MsHabTaskPlan]
 
 
 def plan_data_from_file(config_path: Any = None) -> PlanData:
@@ -135,7 +135,7 @@ def _parsed(path: Path) -> Any:
         raise fault(path, f"not valid YAML ({text}).") from error
 
 
-def _plan(row: Any, where: str) -> TaskPlan:
+def _plan(row: Any, where: str) -> MsHabTaskPlan:
     if not isinstance(row, Mapping):
         raise wrong_type(where, row, "an object")
     for name in ("subtasks", "build_config_name", "init_config_name"):
@@ -147,7 +147,7 @@ def _plan(row: Any, where: str) -> TaskPlan:
     ]
     if not isinstance(row["subtasks"], list) or not row["subtasks"]:
         raise wrong_value(f"{where}.subtasks", row["subtasks"], "a list of one or more")
-    return TaskPlan(
+    return MsHabTaskPlan(
         [
             _subtask(each, f"{where}.subtasks[{k}]")
             for k, each in enumerate(row["subtasks"])
@@ -156,7 +156,7 @@ def _plan(row: Any, where: str) -> TaskPlan:
     )
 
 
-def _subtask(row: Any, where: str) -> Subtask:
+def _subtask(row: Any, where: str) -> MsHabSubtask:
     if not isinstance(row, Mapping):
         raise wrong_type(where, row, "an object")
     kind = row.get("type")

@@ -20,7 +20,7 @@ from mjhab.compat.mshab.files.spawn_data import (
     ROBOT_QPOS,
     Spawns,
 )
-from mjhab.compat.mshab.files.subtasks import Subtask
+from mjhab.compat.mshab.files.subtasks import MsHabSubtask
 from mjhab.core.errors import wrong_value
 from mjhab.core.rotations import pose_inv, pose_mul, quat_from_yaw
 from mjhab.data.imports.ms_hab_layout import object_id
@@ -43,7 +43,7 @@ class SpawnedStates:
     # -- from a file ---------------------------------------------------------------------------------------------------
 
     def state(
-        self, episode: Episode, subtask: Subtask, entry: Spawns, number: int
+        self, episode: Episode, subtask: MsHabSubtask, entry: Spawns, number: int
     ) -> np.ndarray:
         """The state (nq,) of one spawn of a subtask.
 
@@ -79,7 +79,7 @@ class SpawnedStates:
         return qpos
 
     def _set_links(
-        self, qpos: np.ndarray, subtask: Subtask, entry: Spawns, number: int
+        self, qpos: np.ndarray, subtask: MsHabSubtask, entry: Spawns, number: int
     ) -> None:
         config = articulation_of(subtask)
         if ARTICULATION_QPOS not in entry or config is None:
@@ -114,7 +114,7 @@ class SpawnedStates:
 
     # -- to a file -----------------------------------------------------------------------------------------------------
 
-    def entry(self, episode: Episode, subtask: Subtask, qpos: np.ndarray) -> Spawns:
+    def entry(self, episode: Episode, subtask: MsHabSubtask, qpos: np.ndarray) -> Spawns:
         """The spawn entry, of one spawn, with which `state` gives a state of an episode again.
 
         Args:

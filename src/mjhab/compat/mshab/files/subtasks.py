@@ -37,7 +37,7 @@ class ArticulationConfig:
 
 
 @dataclass
-class Subtask:
+class MsHabSubtask:
     """What all subtasks have: kind, name, and names of those that run beside it in parallel worlds."""
 
     KIND: ClassVar[str] = ""
@@ -57,7 +57,7 @@ class Subtask:
 
 
 @dataclass
-class PickSubtask(Subtask):
+class PickSubtask(MsHabSubtask):
     """Lift an object; ``articulation_config`` is of the drawer or door that it is behind."""
 
     KIND: ClassVar[str] = "pick"
@@ -67,7 +67,7 @@ class PickSubtask(Subtask):
 
 
 @dataclass
-class PlaceSubtask(Subtask):
+class PlaceSubtask(MsHabSubtask):
     """Put a held object at a point. A zone has four corners in order; numbers may be texts with commas.
 
     Raises:
@@ -93,7 +93,7 @@ class PlaceSubtask(Subtask):
 
 
 @dataclass
-class NavigateSubtask(Subtask):
+class NavigateSubtask(MsHabSubtask):
     """Drive to a point or to a piece of furniture, with an object in the hand if ``obj_id`` names one.
 
     ``remove_obj_id``: object that is taken out of the home, so that a drawer behind the goal is empty.
@@ -109,7 +109,7 @@ class NavigateSubtask(Subtask):
 
 
 @dataclass
-class OpenSubtask(Subtask, ArticulationConfig):
+class OpenSubtask(MsHabSubtask, ArticulationConfig):
     """Open a drawer or door, behind which an object is; the handle is a point in the link's frame (+y up)."""
 
     KIND: ClassVar[str] = "open"
@@ -119,7 +119,7 @@ class OpenSubtask(Subtask, ArticulationConfig):
 
 
 @dataclass
-class CloseSubtask(Subtask, ArticulationConfig):
+class CloseSubtask(MsHabSubtask, ArticulationConfig):
     """Close a drawer or door; see `OpenSubtask` and `NavigateSubtask`."""
 
     KIND: ClassVar[str] = "close"
@@ -128,7 +128,7 @@ class CloseSubtask(Subtask, ArticulationConfig):
     remove_obj_id: str | None = None
 
 
-SUBTASK_CLASSES: dict[str, type[Subtask]] = {
+SUBTASK_CLASSES: dict[str, type[MsHabSubtask]] = {
     kind.KIND: kind
     for kind in (
         PickSubtask,
@@ -179,7 +179,7 @@ def _rectangle(given: Any) -> list[list[float]]:
 
 
 @dataclass
-class SubtaskConfig:
+class MsHabSubtaskConfig:
     """Limits that all kinds of subtasks have: horizon [control steps], force [N x control steps], distances from rest.
 
     Raises:
@@ -202,7 +202,7 @@ class SubtaskConfig:
         ):
             check(getattr(self, name) >= 0, name, getattr(self, name), "0 or more")
 
-    def update(self, update_dict: Mapping[str, Any]) -> SubtaskConfig:
+    def update(self, update_dict: Mapping[str, Any]) -> MsHabSubtaskConfig:
         """Set fields by name and return itself; a name that is no field is told once and left out."""
         for name, value in update_dict.items():
             if getattr(self, name, None) is None:
@@ -213,7 +213,7 @@ class SubtaskConfig:
 
 
 @dataclass
-class PickSubtaskConfig(SubtaskConfig):
+class PickSubtaskConfig(MsHabSubtaskConfig):
     """Limits of Pick."""
 
     task_id: int = 0
@@ -221,7 +221,7 @@ class PickSubtaskConfig(SubtaskConfig):
 
 
 @dataclass
-class PlaceSubtaskConfig(SubtaskConfig):
+class PlaceSubtaskConfig(MsHabSubtaskConfig):
     """Limits of Place. ``goal_type``: form of the goal, of which ``obj_goal_thresh`` [m] is radius or half height.
 
     Raises:
@@ -248,7 +248,7 @@ class PlaceSubtaskConfig(SubtaskConfig):
 
 
 @dataclass
-class NavigateSubtaskConfig(SubtaskConfig):
+class NavigateSubtaskConfig(MsHabSubtaskConfig):
     """Limits of Navigate: distance [m] and bearing [rad] of the goal; whether arm and grasp count."""
 
     task_id: int = 2
@@ -259,7 +259,7 @@ class NavigateSubtaskConfig(SubtaskConfig):
 
 
 @dataclass
-class OpenSubtaskConfig(SubtaskConfig):
+class OpenSubtaskConfig(MsHabSubtaskConfig):
     """Limits of Open. ``joint_qpos_open_thresh_frac``: share of the joint's range by kind of furniture, or "default".
 
     Raises:
@@ -285,7 +285,7 @@ class OpenSubtaskConfig(SubtaskConfig):
 
 
 @dataclass
-class CloseSubtaskConfig(SubtaskConfig):
+class CloseSubtaskConfig(MsHabSubtaskConfig):
     """Limits of Close: share of the joint's range below which it is closed."""
 
     task_id: int = 4

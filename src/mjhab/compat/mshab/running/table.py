@@ -18,8 +18,6 @@ def _from(module: str, *names: str) -> dict[str, str]:
 _PLANNER = _from(
     _OURS + "files.subtasks",
     "ArticulationConfig",
-    "Subtask",
-    "SubtaskConfig",
     "PickSubtask",
     "PickSubtaskConfig",
     "PlaceSubtask",
@@ -30,27 +28,35 @@ _PLANNER = _from(
     "OpenSubtaskConfig",
     "CloseSubtask",
     "CloseSubtaskConfig",
-) | _from(_OURS + "files.plans", "TaskPlan", "PlanData", "plan_data_from_file")
-_ENVS = _from(
-    _WORLDS + "kinds",
-    "PickSubtaskTrainEnv",
-    "PlaceSubtaskTrainEnv",
-    "OpenSubtaskTrainEnv",
-    "CloseSubtaskTrainEnv",
-    "NavigateSubtaskTrainEnv",
-    "SequentialTaskEnv",
-) | _from(_OURS + "files.plans", "plan_data_from_file")
+) | _from(_OURS + "files.plans", "PlanData", "plan_data_from_file")
+_PLANNER |= {
+    "Subtask": _OURS + "files.subtasks:MsHabSubtask",
+    "SubtaskConfig": _OURS + "files.subtasks:MsHabSubtaskConfig",
+    "TaskPlan": _OURS + "files.plans:MsHabTaskPlan",
+}
+_SEQUENTIAL_TASK = {"SequentialTaskEnv": _WORLDS + "kinds:MsHabSequentialTaskEnv"}
+_ENVS = (
+    _SEQUENTIAL_TASK
+    | _from(
+        _WORLDS + "kinds",
+        "PickSubtaskTrainEnv",
+        "PlaceSubtaskTrainEnv",
+        "OpenSubtaskTrainEnv",
+        "CloseSubtaskTrainEnv",
+        "NavigateSubtaskTrainEnv",
+    )
+    | _from(_OURS + "files.plans", "plan_data_from_file")
+)
 _ACTION = _from(_WRAPPERS + "action", "FetchActionWrapper")
 _OBSERVATION = _from(
     _WRAPPERS + "observation",
     "FetchDepthObservationWrapper",
-    "FrameStack",
     "StackedDictObservationWrapper",
-)
+) | {"FrameStack": _WRAPPERS + "observation:DepthFrameStack"}
 _RECORD = _from(_WRAPPERS + "record", "RecordEpisode")
 _STATISTICS = _from(_WRAPPERS + "statistics", "VectorRecordEpisodeStatistics")
 _VECTOR = _from(_WRAPPERS + "vector", "ManiSkillVectorEnv")
-_POSE = _from(_WORLDS + "pose", "Pose", "vectorize_pose")
+_POSE = _from(_WORLDS + "pose", "vectorize_pose") | {"Pose": _WORLDS + "pose:PoseBatch"}
 _VIEWS = {
     "Actor": _WORLDS + "views:ObjectView",
     "Articulation": _WORLDS + "views:ArticulationView",
@@ -123,7 +129,7 @@ MSHAB: dict[str, dict[str, str]] = {
     )
     | _ENVS,
     "mshab.envs.planner": _PLANNER,
-    "mshab.envs.sequential_task": _from(_WORLDS + "kinds", "SequentialTaskEnv"),
+    "mshab.envs.sequential_task": _SEQUENTIAL_TASK,
     "mshab.envs.subtask": _from(_WORLDS + "kinds", "SubtaskTrainEnv"),
     "mshab.envs.wrappers": _ACTION | _OBSERVATION | _RECORD | _SEQUENTIAL,
     "mshab.envs.wrappers.action": _ACTION,

@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from mjhab.compat.mshab.files.plans import TaskPlan
-from mjhab.compat.mshab.files.subtasks import SUBTASK_CLASSES, SubtaskConfig
+from mjhab.compat.mshab.files.plans import MsHabTaskPlan
+from mjhab.compat.mshab.files.subtasks import SUBTASK_CLASSES, MsHabSubtaskConfig
 from mjhab.compat.mshab.worlds.limits import changed_configs, default_configs
 from mjhab.compat.mshab.worlds.sensors import SIDE_PX, asked_pictures, is_ray_traced
 from mjhab.core.errors import UsageError, fault, unknown_name, warn_once, wrong_value
@@ -111,7 +111,7 @@ class Arguments:
     camera_size: tuple[int, int] = (SIDE_PX, SIDE_PX)
     ray_traced: bool = False
     backend: str = "cpu"
-    task_plans: list[TaskPlan] = field(default_factory=list)
+    task_plans: list[MsHabTaskPlan] = field(default_factory=list)
     scene_builder_cls: Any = ""
     spawn_data_fp: Path | None = None
     equal_homes: bool = True
@@ -119,7 +119,7 @@ class Arguments:
     redraws_homes: bool = False
     tells_events: bool = False
     open_start: float = 0.0
-    configs: dict[str, SubtaskConfig] = field(default_factory=dict)
+    configs: dict[str, MsHabSubtaskConfig] = field(default_factory=dict)
     mjhab_options: dict[str, Any] = field(default_factory=dict)
 
 
@@ -300,7 +300,7 @@ def _take_spawns(made: Arguments, value: Any) -> None:
 def _take_plans(made: Arguments, value: Any) -> None:
     given = [] if value is None else value
     good = isinstance(given, list | tuple) and all(
-        isinstance(plan, TaskPlan) for plan in given
+        isinstance(plan, MsHabTaskPlan) for plan in given
     )
     advice = "plan_data_from_file(path).plans gives one."
     check(good, "task_plans", value, "a list of TaskPlan", advice)

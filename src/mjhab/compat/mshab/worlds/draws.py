@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from mjhab.compat.mshab.files.plan_starts import PlanStarts
-from mjhab.compat.mshab.files.plans import TaskPlan
+from mjhab.compat.mshab.files.plans import MsHabTaskPlan
 from mjhab.compat.mshab.worlds.arguments import Arguments
 from mjhab.core.errors import UsageError, wrong_value
 from mjhab.core.seeding import stream
@@ -133,7 +133,7 @@ class PlanDraw:
         self.spawn_selection_idxs[world] = spawn
         return self._starts.of(number, spawn)
 
-    def plan(self, world: int) -> TaskPlan:
+    def plan(self, world: int) -> MsHabTaskPlan:
         """The plan of a world."""
         there = self._plans[self.build_config_idxs[world]]
         return self._starts.plans[there[self.task_plan_idxs[world]]]

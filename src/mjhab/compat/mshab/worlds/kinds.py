@@ -7,7 +7,7 @@ from typing import Any, ClassVar
 from mjhab.compat.mshab.worlds.env import MsHabEnv
 
 
-class SequentialTaskEnv(MsHabEnv):
+class MsHabSequentialTaskEnv(MsHabEnv):
     """A whole task: a chain of subtasks."""
 
     SUBTASK: ClassVar[str] = ""
@@ -16,7 +16,7 @@ class SequentialTaskEnv(MsHabEnv):
         super().__init__(subtask=self.SUBTASK, **given)
 
 
-class SubtaskTrainEnv(SequentialTaskEnv):
+class SubtaskTrainEnv(MsHabSequentialTaskEnv):
     """One subtask, judged anew in every step."""
 
 

@@ -7,11 +7,11 @@ from typing import Any
 
 from mjhab.compat.mshab.files.subtasks import (
     CloseSubtaskConfig,
+    MsHabSubtaskConfig,
     NavigateSubtaskConfig,
     OpenSubtaskConfig,
     PickSubtaskConfig,
     PlaceSubtaskConfig,
-    SubtaskConfig,
 )
 from mjhab.core.errors import unknown_name, wrong_type, wrong_value
 
@@ -27,7 +27,7 @@ _SHARED = {
 """Limits of every kind of subtask there that are limits of all kinds together here."""
 
 
-def default_configs(subtask: str) -> dict[str, SubtaskConfig]:
+def default_configs(subtask: str) -> dict[str, MsHabSubtaskConfig]:
     """Limits by kind of subtask, of a training environment of ``subtask``, or ("") of a whole task."""
     alone = subtask == "navigate"
     return {
@@ -42,7 +42,7 @@ def default_configs(subtask: str) -> dict[str, SubtaskConfig]:
 
 
 def changed_configs(
-    configs: dict[str, SubtaskConfig], changes: Mapping[str, Any] | None
+    configs: dict[str, MsHabSubtaskConfig], changes: Mapping[str, Any] | None
 ) -> None:
     """Change limits in place, as the argument ``task_cfgs`` asks: ``{"pick": {"horizon": 100}}``.
 
@@ -67,7 +67,7 @@ def changed_configs(
 
 
 def overrides_of(
-    configs: Mapping[str, SubtaskConfig], kinds: Sequence[str]
+    configs: Mapping[str, MsHabSubtaskConfig], kinds: Sequence[str]
 ) -> dict[str, Any]:
     """Our ``overrides`` for the limits of ``kinds``, the subtasks that an environment has.
 

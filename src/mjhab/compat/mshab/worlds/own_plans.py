@@ -5,14 +5,14 @@ from __future__ import annotations
 from typing import Any
 
 from mjhab.compat.mshab.files.matching import SCENE_SUFFIX, subtask_in_files
-from mjhab.compat.mshab.files.plans import TaskPlan
+from mjhab.compat.mshab.files.plans import MsHabTaskPlan
 from mjhab.compat.mshab.files.subtasks import NavigateSubtask
 from mjhab.core.arrays import to_numpy
 from mjhab.envs.loop import TaskLoop
 from mjhab.tasks.household.registry import chain
 
 
-def own_plan(worlds: TaskLoop, world: int) -> TaskPlan:
+def own_plan(worlds: TaskLoop, world: int) -> MsHabTaskPlan:
     """The plan of a world's episode."""
     own: Any = worlds
     if hasattr(worlds, "pool"):
@@ -33,4 +33,4 @@ def own_plan(worlds: TaskLoop, world: int) -> TaskPlan:
         made.composite_subtask_uids = [made.uid]
         subtasks.append(made)
     arrangement = f"{episode.split}/{episode.task}/episode_{episode.index}.json"
-    return TaskPlan(subtasks, f"{episode.home}{SCENE_SUFFIX}", arrangement)
+    return MsHabTaskPlan(subtasks, f"{episode.home}{SCENE_SUFFIX}", arrangement)

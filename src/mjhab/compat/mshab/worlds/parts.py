@@ -10,13 +10,13 @@ import numpy as np
 import torch
 
 from mjhab.compat.mshab.files.matching import home_of
-from mjhab.compat.mshab.files.plans import TaskPlan
-from mjhab.compat.mshab.files.subtasks import Subtask
+from mjhab.compat.mshab.files.plans import MsHabTaskPlan
+from mjhab.compat.mshab.files.subtasks import MsHabSubtask
 from mjhab.compat.mshab.worlds.arguments import Arguments
 from mjhab.compat.mshab.worlds.draws import OwnDraw, PlanDraw
 from mjhab.compat.mshab.worlds.observing import as_tensor
 from mjhab.compat.mshab.worlds.own_plans import own_plan
-from mjhab.compat.mshab.worlds.pose import Pose
+from mjhab.compat.mshab.worlds.pose import PoseBatch
 from mjhab.compat.mshab.worlds.states import actors, articulations
 from mjhab.compat.mshab.worlds.views import (
     AgentView,
@@ -56,7 +56,7 @@ class SceneParts:
             worlds.layout.robot.rest_qpos[worlds.task_config.joints.posture],
             device=self.device,
         )
-        self.base_task_plans: dict[tuple[str, ...], TaskPlan] = {
+        self.base_task_plans: dict[tuple[str, ...], MsHabTaskPlan] = {
             _uids(plan): plan for plan in arguments.task_plans
         }
         self._forget_plans()
@@ -64,11 +64,11 @@ class SceneParts:
     # -- plans -----------------------------------------------------------------------------------------------------
 
     def _forget_plans(self) -> None:
-        self._plans: list[TaskPlan] | None = None
-        self._merged: list[Subtask] | None = None
+        self._plans: list[MsHabTaskPlan] | None = None
+        self._merged: list[MsHabSubtask] | None = None
 
     @property
-    def task_plans(self) -> list[TaskPlan]:
+    def task_plans(self) -> list[MsHabTaskPlan]:
         """(W,) the plan of every world's episode."""
         if self._plans is None:
             self._plans = [
@@ -82,7 +82,7 @@ class SceneParts:
         return self._plans
 
     @property
-    def task_plan(self) -> list[Subtask]:
+    def task_plan(self) -> list[MsHabSubtask]:
         """The subtask at every place of the plans: that of world 0, with the uids of those of all worlds."""
         if self._merged is None:
             rows = zip(*(plan.subtasks for plan in self.task_plans), strict=True)
@@ -90,9 +90,9 @@ class SceneParts:
         return self._merged
 
     @property
-    def bc_to_task_plans(self) -> dict[str, list[TaskPlan]]:
+    def bc_to_task_plans(self) -> dict[str, list[MsHabTaskPlan]]:
         """Plans by the name of their home."""
-        found: dict[str, list[TaskPlan]] = {}
+        found: dict[str, list[MsHabTaskPlan]] = {}
         for plan in self.base_task_plans.values():
             found.setdefault(plan.build_config_name or "", []).append(plan)
         return found
@@ -185,9 +185,9 @@ class SceneParts:
         ]
 
     @property
-    def ee_rest_world_pose(self) -> Pose:
+    def ee_rest_world_pose(self) -> PoseBatch:
         """World pose of the rest point of the hand."""
-        rest = Pose.create_from_pq(
+        rest = PoseBatch.create_from_pq(
             p=self.worlds.task_config.ee_rest_pos, device=self.device
         )
         return self.agent.base_link.pose * rest
@@ -244,11 +244,11 @@ class SceneParts:
         return torch.from_numpy(np.ascontiguousarray(shown))
 
 
-def _uids(plan: TaskPlan) -> tuple[str, ...]:
+def _uids(plan: MsHabTaskPlan) -> tuple[str, ...]:
     return tuple(subtask.uid for subtask in plan.subtasks)
 
 
-def _merged(row: tuple[Subtask, ...]) -> Subtask:
+def _merged(row: tuple[MsHabSubtask, ...]) -> MsHabSubtask:
     """The first of parallel subtasks, with the uids of all of them."""
     shared = copy.copy(row[0])
     shared.composite_subtask_uids = [subtask.uid for subtask in row]

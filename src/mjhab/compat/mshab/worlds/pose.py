@@ -9,7 +9,7 @@ import torch
 from mjhab.core.rotations import mat_from_quat, pose_inv, pose_mul
 
 
-class Pose:
+class PoseBatch:
     """(n, 7) poses: position [m] and quaternion wxyz, float32 tensors.
 
     Args:
@@ -20,15 +20,17 @@ class Pose:
         self.raw_pose = raw_pose
 
     @classmethod
-    def create(cls, pose: Any, device: Any = None) -> Pose:
+    def create(cls, pose: Any, device: Any = None) -> PoseBatch:
         """From (n, 7) or (7,) numbers, or from a pose."""
-        if isinstance(pose, Pose):
+        if isinstance(pose, PoseBatch):
             return pose
         raw = torch.as_tensor(pose, dtype=torch.float32, device=device)
         return cls(raw[None] if raw.ndim == 1 else raw)
 
     @classmethod
-    def create_from_pq(cls, p: Any = None, q: Any = None, device: Any = None) -> Pose:
+    def create_from_pq(
+        cls, p: Any = None, q: Any = None, device: Any = None
+    ) -> PoseBatch:
         """From positions (n, 3) or (3,) and quaternions (n, 4) or (4,); by default 0, and no rotation."""
         given = [
             torch.atleast_2d(torch.as_tensor(part, dtype=torch.float32, device=device))
@@ -50,14 +52,14 @@ class Pose:
         """(n, 4) quaternions wxyz."""
         return self.raw_pose[:, 3:]
 
-    def inv(self) -> Pose:
+    def inv(self) -> PoseBatch:
         """The inverse of every pose."""
-        return Pose(pose_inv(self.raw_pose))
+        return PoseBatch(pose_inv(self.raw_pose))
 
-    def __mul__(self, other: Pose) -> Pose:
+    def __mul__(self, other: PoseBatch) -> PoseBatch:
         """Poses given in the frames of these, in the frame in which these are."""
         one, two = torch.broadcast_tensors(self.raw_pose, other.raw_pose)
-        return Pose(pose_mul(one, two))
+        return PoseBatch(pose_mul(one, two))
 
     def to_transformation_matrix(self) -> torch.Tensor:
         """(n, 4, 4) matrices."""
@@ -67,8 +69,8 @@ class Pose:
         out[:, 3, 3] = 1.0
         return out
 
-    def __getitem__(self, rows: Any) -> Pose:
-        return Pose.create(self.raw_pose[rows])
+    def __getitem__(self, rows: Any) -> PoseBatch:
+        return PoseBatch.create(self.raw_pose[rows])
 
     def __len__(self) -> int:
         return len(self.raw_pose)
@@ -86,4 +88,4 @@ class Pose:
 
 def vectorize_pose(pose: Any, device: Any = None) -> torch.Tensor:
     """(n, 7) numbers of poses."""
-    return Pose.create(pose, device).raw_pose
+    return PoseBatch.create(pose, device).raw_pose

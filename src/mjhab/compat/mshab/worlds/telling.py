@@ -7,7 +7,7 @@ from typing import Any
 
 import torch
 
-from mjhab.compat.mshab.files.subtasks import SubtaskConfig
+from mjhab.compat.mshab.files.subtasks import MsHabSubtaskConfig
 from mjhab.compat.mshab.worlds.observing import as_tensor
 from mjhab.core.arrays import cast, constant, namespace
 from mjhab.data.imports.ms_hab_layout import (
@@ -38,7 +38,7 @@ class Telling:
     def __init__(
         self,
         worlds: TaskLoop,
-        configs: Mapping[str, SubtaskConfig],
+        configs: Mapping[str, MsHabSubtaskConfig],
         kinds: Sequence[str],
         tells_events: bool,
     ) -> None:

@@ -9,7 +9,7 @@ from typing import Any
 import torch
 
 from mjhab.compat.mshab.worlds.observing import as_tensor
-from mjhab.compat.mshab.worlds.pose import Pose
+from mjhab.compat.mshab.worlds.pose import PoseBatch
 from mjhab.core.arrays import namespace
 from mjhab.core.conventions.changes import to_scan_axes
 from mjhab.core.joints import BASE_XY, BASE_YAW
@@ -49,7 +49,7 @@ class LinkView(View):
         self._pose = pose
 
     @property
-    def pose(self) -> Pose:
+    def pose(self) -> PoseBatch:
         """World pose."""
         return self._pose()
 
@@ -99,7 +99,7 @@ class AgentView(View):
         self.keyframes = {"rest": SimpleNamespace(qpos=torch.tensor(rest).numpy())}
 
     @property
-    def tcp_pose(self) -> Pose:
+    def tcp_pose(self) -> PoseBatch:
         """World pose of the point between the fingers, with the axes of the hand."""
         worlds = self._worlds
         left, right = (
@@ -108,7 +108,7 @@ class AgentView(View):
         )
         pose = self._hand().raw_pose
         pose[:, :3] = single((left + right) / 2)
-        return Pose(pose)
+        return PoseBatch(pose)
 
     def is_grasping(self, object: Any = None, **_: Any) -> torch.Tensor:
         """(W,) bool: the target of the active subtask is held; of no other object it is known."""
@@ -126,15 +126,15 @@ class AgentView(View):
         assert signals is not None
         return as_tensor(signals.is_static).clone()
 
-    def _hand(self) -> Pose:
-        return Pose(single(self._worlds.sensing.tcp_pose(self._worlds.state)))
+    def _hand(self) -> PoseBatch:
+        return PoseBatch(single(self._worlds.sensing.tcp_pose(self._worlds.state)))
 
-    def _base(self) -> Pose:
+    def _base(self) -> PoseBatch:
         base = self._worlds.state.robot_q
         xp = namespace(base)
         height = xp.zeros_like(base[:, :1]) + self._worlds.layout.robot.base_height
         quat = quat_from_yaw(base[:, BASE_YAW])
-        return Pose(single(xp.concat([base[:, BASE_XY], height, quat], axis=1)))
+        return PoseBatch(single(xp.concat([base[:, BASE_XY], height, quat], axis=1)))
 
 
 class ObjectView(View):
@@ -150,7 +150,7 @@ class ObjectView(View):
         self.name = f"obj_{number}"
 
     @property
-    def pose(self) -> Pose:
+    def pose(self) -> PoseBatch:
         """World pose."""
         worlds = self._worlds
         state = worlds.state
@@ -160,7 +160,7 @@ class ObjectView(View):
         yaws = torch.tensor(
             [kind.scan_yaw for kind in worlds.layout.objects], device=poses.device
         )
-        return Pose(to_scan_axes(poses[rows, slots], yaws[slots]))
+        return PoseBatch(to_scan_axes(poses[rows, slots], yaws[slots]))
 
     @property
     def _objs(self) -> list[Entity]:
@@ -180,10 +180,10 @@ class GoalView(View):
         self.name = f"goal_{number}"
 
     @property
-    def pose(self) -> Pose:
+    def pose(self) -> PoseBatch:
         """World pose; only the position means something."""
         goals = self._worlds.tables.arrays.goal_pos[:, self.subtask_num]
-        return Pose.create_from_pq(p=single(goals), device=as_tensor(goals).device)
+        return PoseBatch.create_from_pq(p=single(goals), device=as_tensor(goals).device)
 
 
 class ArticulationView(View):

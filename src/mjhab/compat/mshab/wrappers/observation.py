@@ -175,7 +175,7 @@ def _with_rows(kept: Any, first: Any, rows: Any) -> Any:
     return changed
 
 
-class FrameStack(_Stack):
+class DepthFrameStack(_Stack):
     """Stacks the frames of depth below the key "pixels": (W, stack, 1, h, w).
 
     Args:

@@ -12,6 +12,7 @@ import pytest
 import mjhab.envs as envs
 from mjhab.envs.observations.state import state_dim, state_table
 from mjhab.envs.sequential import SequentialTaskEnv
+from mjhab.episodes.generator import EpisodeMaker
 from mjhab.robots.controllers import make_controller
 from mjhab.robots.fetch.robot import ROBOT
 from mjhab.scenes.pack_source import PACK_SOURCES, PackSource
@@ -169,6 +170,19 @@ def test_states_do_not_depend_on_number_of_worlds_or_threads():
     assert run(2, 2, episodes, 25) == reference
     assert run(4, 1, episodes, 25) == reference
     assert len(set(reference.values())) == len(episodes)
+
+
+def test_episodes_that_are_made_in_threads_are_the_same(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(
+        EpisodeMaker, "episode", lambda self, seed, index: self.make(seed, index)[0]
+    )
+    pair = [
+        build(num_envs=3, threads=threads, home="builtin_m1_00") for threads in (1, 3)
+    ]
+    for env in pair:
+        env.reset(seed=3)
+    np.testing.assert_array_equal(pair[0].sim.qpos, pair[1].sim.qpos)
+    assert len(np.unique(pair[0].sim.qpos, axis=0)) == 3
 
 
 @pytest.mark.parametrize("mode", ["same_step", "disabled"])

@@ -144,10 +144,11 @@ class SequentialTaskEnv(TaskLoop, VectorEnv):
 
     def _adopt(self, fresh: np.ndarray, episodes: np.ndarray) -> None:
         worlds = np.flatnonzero(fresh).tolist()
+        wanted = [(int(self.seeds[w]), int(episodes[w])) for w in worlds]
+        made = self.source.episodes(wanted, self.sim.num_threads)
         starts = []
         self.fallback = self.fallback.copy()
-        for world in worlds:
-            episode = self.make_episode(int(self.seeds[world]), int(episodes[world]))
+        for world, episode in zip(worlds, made, strict=True):
             start = self.adopt(world, episode)
             self.fallback[world] = start.fallback
             starts.append(start)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -119,14 +121,29 @@ class EpisodeSource:
         """
         return self._perturber.objects(self._clean(seed, index))
 
+    def episodes(
+        self, wanted: Sequence[tuple[int, int]], threads: int = 1
+    ) -> list[Episode]:
+        """Return the episodes of several (seed, index); they do not depend on ``threads``."""
+        new = [names for names in wanted if self._pool_key(*names) not in self._pool]
+        if min(threads, len(new)) <= 1:
+            return [self.episode(*names) for names in wanted]
+        # Most of the time of a new episode is the settling of its objects, for which MuJoCo gives up Python's lock.
+        with ThreadPoolExecutor(min(threads, len(new))) as pool:
+            return list(pool.map(lambda names: self.episode(*names), wanted))
+
+    def _pool_key(self, seed: int, index: int) -> tuple[int, int] | None:
+        """(seed, index) of the episode of the pool that lends its arrangement; None without a pool."""
+        if not self._pool_size:
+            return None
+        drawn = stream(seed, "pool", index).integers(self._pool_size)
+        return self.config.seed, int(drawn)
+
     def _clean(self, seed: int, index: int) -> Episode:
         """The episode before its objects are perturbed."""
-        if not self._pool_size:
+        key = self._pool_key(seed, index)
+        if key is None:
             return (self.starts.spawn_set or self._arrangements).episode(seed, index)
-        key = (
-            self.config.seed,
-            int(stream(seed, "pool", index).integers(self._pool_size)),
-        )
         found = self._pool.get(key, lambda: self._arrangements.episode(*key))
         return dataclasses.replace(found, seed=seed, index=index)
 

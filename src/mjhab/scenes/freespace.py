@@ -124,19 +124,20 @@ class FreeMap:
     def _field(self, goal: np.ndarray) -> np.ndarray:
         graph, nearest, off = self._ways
         x, y = self.to_cell(goal)
-        source = nearest[:, x, y]
-        node = int(source[0] * self.blocked.shape[1] + source[1])
-        along = np.asarray(dijkstra(graph, directed=False, indices=node)).reshape(
-            self.blocked.shape
+        node = int(nearest[x, y])
+        along = np.asarray(dijkstra(graph, directed=False, indices=node))
+        source = self.to_xy(np.array(divmod(node, self.blocked.shape[1])))
+        apart = float(np.linalg.norm(source - goal)) if off[x, y] else 0.0
+        # The centres of cells along x and y: the raster of all of them would be made anew for every goal.
+        dx, dy = (
+            (np.arange(count) + 0.5) * self.cell + start - at
+            for count, start, at in zip(
+                self.blocked.shape, self.origin, goal, strict=True
+            )
         )
-        straight = np.linalg.norm(
-            self.to_xy(np.moveaxis(np.indices(self.blocked.shape), 0, -1)) - goal, axis=-1
-        )
-        apart = float(np.linalg.norm(self.to_xy(source) - goal)) if off[x, y] else 0.0
-        field = np.maximum(along[nearest[0], nearest[1]] + off + apart, straight).astype(
-            np.float32
-        )
-        return _frozen(field)
+        straight = np.sqrt((dx * dx)[:, None] + dy * dy)
+        field = np.maximum(along[nearest] + off + apart, straight)
+        return _frozen(field.astype(np.float32))
 
     def places(self, radius: float) -> np.ndarray:
         """Return the centres (P, 2) [m] of the cells of `navigable` for a ``radius`` [m]; read-only and cached."""
@@ -158,7 +159,7 @@ class FreeMap:
         return self._derived.get("ways", self._find_ways)
 
     def _find_ways(self) -> tuple[csr_matrix, np.ndarray, np.ndarray]:
-        """Graph of the navigable cells; the nearest of them (2, X, Y) to every cell, and its distance (X, Y) [m]."""
+        """Graph of the navigable cells; the node (X, Y) nearest to every cell, and its distance (X, Y) [m]."""
         free = self.navigable()
         if not free.any():
             raise UsageError(
@@ -167,7 +168,7 @@ class FreeMap:
         off, nearest = distance_transform_edt(~free, return_indices=True)  # type: ignore[misc]
         return (
             grid_graph(free, self.cell, SIXTEEN),
-            np.asarray(nearest),
+            np.asarray(np.ravel_multi_index(tuple(np.asarray(nearest)), free.shape)),
             np.asarray(off) * self.cell,
         )
 

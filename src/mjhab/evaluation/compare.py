@@ -190,6 +190,7 @@ def names_of(folders: Sequence[Path]) -> list[str]:
             f"a run is named twice: {', '.join(map(str, folders))}.", option="runs"
         )
     for count in range(1, max(map(len, parts)) + 1):
+        # Resolved paths: "." and "runs/a/" have no last part of their own.
         names = ["/".join(part[-count:]) for part in parts]
         if len(set(names)) == len(names):
             return names
@@ -228,12 +229,14 @@ def _options(folder: Path) -> dict[str, Any]:
     if isinstance(env, Mapping):
         config |= env
     if config.get("assets"):
+        # Two machines may keep the same pack in different folders.
         config["assets"] = pack_name(config["assets"])
     return flat(config)
 
 
 def rules_of(config: Mapping[str, Any]) -> dict[str, Any]:
     """The options that two runs must share: rules, homes, stage, profile, episodes; defaults left out."""
+    # An option that one run tells with its default and the other not at all is the same.
     usual = {option.name: option.default for option in dataclasses.fields(EnvConfig)}
     return {
         name: value
@@ -258,12 +261,14 @@ def _check_rules(first: ComparedRun, other: ComparedRun) -> None:
 
 
 def _check_episodes(first: ComparedRun, other: ComparedRun) -> None:
+    # Runs of different lengths are compared in what they share; the caution says so.
     shared = sorted(set(first.by_index) & set(other.by_index))
     if not shared:
         raise UsageError(
             f"{first.name} and {other.name} have no episode in common.", option="runs"
         )
     for index in shared:
+        # Equal indices are equal episodes within one version only.
         a, b = first.by_index[index], other.by_index[index]
         if _identity(a) != _identity(b):
             raise UsageError(
@@ -323,6 +328,7 @@ def _trainings(spec: CompareSpec, names: Sequence[str]) -> Comparison:
             )
     last = {
         name: next(
+            # The last evaluation is the one that the run reports.
             (row["success_once"] for row in reversed(of_run) if "success_once" in row),
             None,
         )

@@ -126,8 +126,10 @@ def run_evaluation(spec: EvalSpec, sinks: Sequence[Sink] = ()) -> Run:
     facts = opened.facts
     config = resolved_config(spec, facts)
     path = spec.out or default_out(spec, facts.name)
+    # Before the environment is made, which takes seconds; `open` below does it again under the lock.
     EvaluationFolder.check(path, config, resume=spec.resume, overwrite=spec.overwrite)
     alone = read_alone(spec.alone)
+    # A finished run gets its report again without an environment, which takes seconds to make.
     if not _anything_left(path, spec):
         with EvaluationFolder.open(path, config, resume=spec.resume) as folder:
             requests = folder.earlier_requests(REQUEST_FACTS)
@@ -141,8 +143,10 @@ def run_evaluation(spec: EvalSpec, sinks: Sequence[Sink] = ()) -> Run:
     env = make_env(spec, env_options(spec, facts))
     policy = None
     try:
+        # Policies of users draw from the global generators, and must be repeatable all the same.
         with SeededGlobals(spec.asked.seed) as random:
             policy = opened.build(env, policy_options(spec))
+            # A policy imports torch when it is built.
             random.take_torch()
             with EvaluationFolder.open(
                 path, config, resume=spec.resume, overwrite=spec.overwrite
@@ -205,6 +209,7 @@ def _conclude(
     interrupted = False
     try:
         rolling.run()
+    # The finished episodes get their report before the interrupt goes on.
     except KeyboardInterrupt:
         interrupted = True
     seconds = earlier + time.perf_counter() - started
@@ -228,6 +233,7 @@ def resolved_config(spec: EvalSpec, facts: PolicyFacts) -> dict[str, Any]:
     config = EnvConfig(**plain({**spec.env_defaults, **options}))
     chosen |= plain(config.of_profile())
     apart = {"profile", *RECORDED.values()}
+    # Options that have a key of their own would stand in the file twice.
     further = {name: value for name, value in options.items() if name not in apart}
     if further:
         chosen["env"] = plain(further)
@@ -245,7 +251,10 @@ def default_out(spec: EvalSpec, policy: str) -> Path:
     driven = "drive" if asked.navigate == "drive" and not asked.subtask else None
     words = (asked.task, asked.subtask, asked.target, driven, policy, f"seed{asked.seed}")
     return Path("runs") / "_".join(
-        re.sub(r"[^\w.-]+", "-", word) for word in words if word
+        # Names of policies and targets have slashes and colons.
+        re.sub(r"[^\w.-]+", "-", word)
+        for word in words
+        if word
     )
 
 
@@ -276,6 +285,7 @@ def finish(
     stage = stage_of(folder.config.get("assets") or "builtin")
     summary = {
         "profile": folder.config.get("profile"),
+        # The walls of a pack change what is possible, so that every summary tells them.
         **stage,
         **summarize(records, seconds, alone),
         **(requests or {}),

@@ -51,6 +51,7 @@ class FilmCrew:
 
     def begin(self, world: int) -> None:
         """A new film begins in a world."""
+        # The camera must not glide from the home of the episode before.
         self._last.pop(world, None)
         self._marked.pop(world, None)
 
@@ -71,8 +72,10 @@ class FilmCrew:
         width, height = self._size
         renderer = env.observer.renderer
         state = env.state
+        # A simulation that diverged has positions that cannot be drawn; the film goes on in black.
         if not is_sane(state.body_pos[[world]], state.body_mat[[world]])[0]:
             return np.zeros((height, width, 3), np.uint8)
+        # Made with the first frame, because a run without films needs none.
         if self._camera is None:
             self._camera = FilmCamera(renderer)
         shot = self._camera.follow(scene_of(env, world), self._last.get(world))

@@ -159,12 +159,14 @@ def make_job(spec: GenerateSpec) -> Job:
         UsageError: there is no such policy, it cannot be sent to workers, or its options contradict others.
     """
     facts = describe_policy(spec.policy)
+    # Ray has a pickler of its own, which sends more.
     if spec.workers and not spec.ray:
         check_sendable(spec.policy, facts.name)
     config = resolved_config(spec, facts)
     keep = spec.filter()
     # A worker without an episode would only take memory.
     workers = max(1, min(spec.workers, spec.max_tries))
+    # Workers share the cores; each with all of them would slow the others down.
     threads = spec.asked.threads or max(1, cores() // workers)
     shared = dataclasses.replace(spec, env={**spec.env, "threads": threads})
     worker = WorkerSpec(
@@ -222,6 +224,7 @@ def about_policy(spec: GenerateSpec, facts: PolicyFacts) -> dict[str, Any]:
         about["env_options"] = dict(facts.env_options)
     if spec.style:
         about["style"] = Styles.parse(spec.style).words
+    # Its actions depend on the seed and nothing else.
     if spec.policy == "random":
         about["seed"] = spec.asked.seed
     return about
@@ -237,10 +240,12 @@ def recorded_env_options(spec: GenerateSpec, facts: PolicyFacts) -> dict[str, An
     until = Until.parse(spec.until)
     if spec.asked.subtask and not until.is_whole:
         overrides = {**needed.get("overrides", {}), "hold_steps": until.hold_steps}
+        # In place: `env_options` has made the dict for this call.
         needed["overrides"] = overrides
     if not spec.stores_images:
         return needed
     sees = needed.pop("obs_mode", "")
+    # The policy's own images and the stored ones come from one drawing.
     modes = [*spec.images.split("+"), *filter(None, sees.split("+"))]
     stored = {
         "obs_mode": "+".join(dict.fromkeys(modes)),

@@ -34,18 +34,21 @@ class SeededGlobals:
         self._python = random.getstate()
         self._numpy = np.random.get_state()
         random.seed(self._seed)
+        # numpy takes 32 bits.
         np.random.seed(self._seed % _NUMPY_SEEDS)
         self.take_torch()
         return self
 
     def take_torch(self) -> None:
         """Seed torch if it was loaded since."""
+        # Not imported: it would take a second, and most policies do not need it.
         torch: Any = sys.modules.get("torch")
         # A module that is being imported has not got everything yet.
         if self._torch is not None or not hasattr(torch, "manual_seed"):
             return
         devices = (
             torch.cuda.get_rng_state_all()
+            # Asking for the state would initialise CUDA and take its memory.
             if torch.cuda.is_available() and torch.cuda.is_initialized()
             else []
         )

@@ -34,6 +34,7 @@ def construct_policy(factory: Callable[..., Policy], env: RolloutEnv) -> Policy:
             f"{name} needs {len(required)} arguments ({', '.join(p.name for p in required)}), but it is called with "
             "the environment or without arguments. Give the others default values."
         )
+    # A parameter with a default may mean something else, unless it is called env.
     takes_env = bool(required) or (bool(parameters) and parameters[0].name == "env")
     policy = factory(env) if takes_env else factory()
     check_policy(policy, name)
@@ -100,6 +101,7 @@ class OwnPolicy(OpenedPolicy):
         # On a class, name may be a property; a function that makes a policy has no name attribute.
         super().__init__(name if isinstance(name, str) else called)
         self._policy = policy
+        # A function is checked when it has made its policy.
         if isinstance(policy, type) or not callable(policy):
             check_methods(policy, called)
 
@@ -110,6 +112,7 @@ class OwnPolicy(OpenedPolicy):
 
     def _build(self, env: RolloutEnv, options: PolicyOptions) -> Policy:
         policy = self._policy
+        # An object with act is a policy, even if it can be called.
         if isinstance(policy, type) or not hasattr(policy, "act"):
             return construct_policy(cast(Callable[..., Policy], policy), env)
         check_policy(policy, type(policy).__name__)

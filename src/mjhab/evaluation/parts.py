@@ -81,6 +81,7 @@ def env_options(spec: EvalSpec, facts: PolicyFacts) -> dict[str, Any]:
             f"Leave out --robot, or train a policy with it: mjhab train ALGORITHM --robot {asked}",
             f"policy {facts.name}",
         )
+    # The user's come last: who asks for another camera must get it, and an error if the policy cannot.
     return {**facts.env_options, **spec.env}
 
 
@@ -93,6 +94,7 @@ def make_env(spec: EvalSpec, options: Mapping[str, Any]) -> SequentialTaskEnv:
     """
     from mjhab.envs import make
 
+    # Worlds without an episode would be stepped for nothing.
     worlds = min(spec.asked.num_envs, spec.episodes)
     asked = {**spec.env_defaults, **spec.env, **options}
     return make(**{**asked, "num_envs": worlds, "autoreset": "disabled"})
@@ -163,7 +165,9 @@ def check_sendable(policy: PolicyLike, name: str) -> None:
         UsageError: the policy cannot be pickled.
     """
     try:
+        # Tried here: in a worker the error would name neither the policy nor a remedy.
         pickle.dumps(policy)
+    # Pickle raises whatever the object's own methods raise.
     except Exception as error:
         raise fault(
             f"policy {name}",

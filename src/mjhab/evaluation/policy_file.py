@@ -52,6 +52,7 @@ class PolicyClass(OpenedPolicy):
 
 def _split(spec: str) -> tuple[Path, str]:
     """Split into the file and the name of the class, "" without a name."""
+    # From the right, because a path of Windows begins with a drive and a colon.
     head, colon, name = spec.rpartition(":")
     if not colon or name.endswith(".py"):
         return Path(spec), ""
@@ -69,6 +70,7 @@ def _load_class(spec: str) -> type:
     own = [
         key
         for key, value in classes.items()
+        # Imported classes are not the file's own.
         if value.__module__ == module.__name__ and not key.startswith("_")
     ]
     if not name:
@@ -88,6 +90,7 @@ def _load_module(path: Path) -> ModuleType:
     Raises:
         UsageError: the file cannot be read, or raises.
     """
+    # By its content: a file that was edited in a notebook session is imported anew.
     name = f"mjhab_policy_{path.stem}_{_file_hash(path)[:12]}"
     if name in sys.modules:
         return sys.modules[name]
@@ -95,6 +98,7 @@ def _load_module(path: Path) -> ModuleType:
     if spec is None or spec.loader is None:
         raise fault(path, "not a Python file.")
     folder = str(path.resolve().parent)
+    # Files beside it can be imported, as with ``python FILE``.
     if folder not in sys.path:
         sys.path.insert(0, folder)
     module = importlib.util.module_from_spec(spec)
@@ -102,7 +106,9 @@ def _load_module(path: Path) -> ModuleType:
     sys.modules[name] = module
     try:
         spec.loader.exec_module(module)
+    # A script without a main guard may end the process.
     except (Exception, SystemExit) as error:
+        # A half-imported module would be found by the next attempt.
         del sys.modules[name]
         what = f"{type(error).__name__}: {error}{_line_of(error, path)}"
         raise fault(path, f"cannot be imported: {what}.") from error
@@ -116,6 +122,7 @@ def _line_of(error: BaseException, path: Path) -> str:
         return ""
     frames = traceback.extract_tb(error.__traceback__)
     lines = [frame.lineno for frame in frames if frame.filename == os.path.abspath(path)]
+    # The last frame in the user's file: deeper ones are of libraries.
     return f" (line {lines[-1]})" if lines else ""
 
 

@@ -40,6 +40,7 @@ def recorded_env(run: RunInfo, **options: Any) -> SequentialTaskEnv:
     }
     known = {option.name for option in dataclasses.fields(EnvConfig)}
     for name in config:
+        # What this call sets itself cannot come from the recording, too.
         if name not in known - options.keys() - {"autoreset"}:
             raise unknown_name("environment option of the recorded episodes", name, known)
     # What older versions had no option for.

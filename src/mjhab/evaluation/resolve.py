@@ -163,6 +163,7 @@ class PolicyKind:
     def open(self, spec: str) -> OpenedPolicy:
         """Open a policy of this kind; its module is imported now."""
         module, _, name = self.opened.partition(":")
+        # Imported now, because kinds of learned policies load torch.
         kind = getattr(importlib.import_module(module), name)
         opened = cast(OpenedPolicy, kind(spec))
         opened.takes_instruction = self.takes_instruction
@@ -289,11 +290,13 @@ def full_spec(spec: str, task: str, subtask: str | None, target: str | None) -> 
 
 def wanted_of(spec: str) -> tuple[str, Wanted | None]:
     """What `full_spec` was given: the file or folder of policies, and what is to be done; None if nothing was added."""
+    # From the right: the folder may have a colon, a wanted subtask has none.
     head, _, tail = spec.rpartition(":")
     return (head, Wanted.parse(tail)) if _names_several(head) else (spec, None)
 
 
 def _names_several(spec: str) -> bool:
+    # A folder named "expert" must not replace the expert.
     if spec in NAMED_POLICIES or not spec:
         return False
     return spec.endswith(POLICIES_SUFFIX) or is_folder(Path(spec))
@@ -303,6 +306,7 @@ def _kind_of(spec: str) -> PolicyKind:
     for kind in POLICY_KINDS:
         if kind.matches(spec):
             return kind
+    # The first two are named as words in front of them.
     forms = ", ".join(kind.form for kind in POLICY_KINDS[2:])
     advice = f"Or a policy of your own: {forms}."
     raise unknown_name("policy", spec, (*NAMED_POLICIES, LEARNED), advice=advice)

@@ -136,6 +136,7 @@ class EvalSpec(EnvSpec):
                 self.instruction,
                 "left out without a subtask: in a whole task every subtask has a sentence of its own",
             )
+        # The class is frozen; from here on the specification is complete by itself.
         object.__setattr__(self, "policy", named_policy(self.policy, asked, self.served))
         served = isinstance(self.policy, str) and self.policy.startswith(SCHEMES)
         if served and (self.workers or self.ray):
@@ -248,6 +249,7 @@ class GenerateSpec(EnvSpec):
                 "episodes",
                 advice="Give per_target (episodes to keep per target) or episodes (episodes to try).",
             )
+        # Checks the options that both have.
         self.as_evaluation()
         self.filter()
         out = self.out.resolve()
@@ -313,6 +315,7 @@ def given_to_server(served: Mapping[str, Any]) -> dict[str, Any]:
     for name in served:
         if name not in known:
             raise unknown_name("option of a served policy", name, known)
+    # The command line gives None for what was not said.
     given = {name: value for name, value in served.items() if value is not None}
     return {name: taken(Address, name, value) for name, value in given.items()}
 

@@ -88,7 +88,9 @@ class EvaluationWorker:
         self._closing.callback(self._env.close)
         random = self._closing.enter_context(SeededGlobals(spec.asked.seed))
         self._policy = opened.build(self._env, policy_options(spec))
+        # A policy imports torch when it is built.
         random.take_torch()
+        # Called in reverse order: the policy is closed before the environment that it acts in.
         self._closing.callback(close_policy, self._policy)
         self._films = film_sink(spec, folder)
 
@@ -153,6 +155,7 @@ class SpreadRollout:
         self._sinks = sinks
         self._left = list(folder.missing(spec.episodes))
         self._chunk = spec.asked.num_envs
+        # A worker without an episode would only make an environment.
         self._workers = min(workers, -(-len(self._left) // self._chunk))
         self._open: dict[int, list[int]] = {}
         self._deaths: dict[int, int] = {}
@@ -165,6 +168,7 @@ class SpreadRollout:
         Raises:
             UsageError, MjhabError: a worker failed, or died several times without a finished episode.
         """
+        # The worlds are in other processes; sinks that look at them cannot be used here.
         nobody = cast("RolloutEnv", None)
         for sink in self._sinks:
             sink.on_begin(nobody, self._left)
@@ -195,7 +199,9 @@ class SpreadRollout:
                 self._send(number)
             case EpisodeEvaluated(record, problem):
                 self._open[number].remove(record.index)
+                # Only deaths in a row count: an episode that kills its worker does so every time.
                 self._deaths[number] = 0
+                # At once, so that a kill loses only what was running.
                 self._folder.add(record)
                 self.film_problem = self.film_problem or problem
                 for sink in self._sinks:

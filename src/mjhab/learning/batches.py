@@ -38,8 +38,10 @@ def take_chunks(
     rows = as_like(rows, data.first)
     first = data.first[rows][:, None]
     last = data.last[rows][:, None]
+    # Before the first step of an episode the first observation stands in, as it does when acting.
     seen = xp.maximum(rows[:, None] + (count(history, rows) - (history - 1)), first)
     ahead = rows[:, None] + count(chunk, rows)
+    # Told before the clip, which hides where an episode ended.
     valid = ahead <= last
     ahead = xp.minimum(ahead, last)
     images = data.images[seen]
@@ -69,16 +71,19 @@ class BatchSampler:
         self._sources = list(sources)
         self._batch = batch
         self._seed = seed
+        # With a single source all of it is new.
         self._new = round(new_share * batch) if len(self._sources) > 1 else batch
 
     def rows(self, step: int) -> list[tuple[Demonstrations, np.ndarray]]:
         """Rows of batch ``step``, by source."""
+        # Named by the step, so that a resumed training draws the same batches.
         random = stream(self._seed, "batch", step)
         newest = self._sources[-1]
         drawn = [(newest, random.choice(newest.usable, self._new))]
         old = self._sources[:-1]
         if old:
             ends = np.cumsum([len(source.usable) for source in old])
+            # Over all older rows together, so that rounds count by their size.
             places = random.integers(0, ends[-1], self._batch - self._new)
             which = np.searchsorted(ends, places, side="right")
             for number, source in enumerate(old):
@@ -110,7 +115,9 @@ class BatchSampler:
 
 def shift_images(images: Array, most: int, random: np.random.Generator) -> Array:
     """Shift each image of (B, C, H, W) by a random offset of up to ``most`` pixels; border pixels are repeated."""
+    # One offset for all channels of a sample: cameras and history move together, as with a real jitter.
     offsets = random.integers(-most, most + 1, (2, len(images), 1))
+    # The draws above are shared, so that both ways give the same images.
     if isinstance(images, np.ndarray):
         return _shift_on_host(images, most, offsets)
     batch, channels, height, width = images.shape
@@ -140,6 +147,7 @@ def shift_colours(
         gain
         for channels in image_channels(inputs)
         for gain in (
+            # One channel is depth.
             [brightness * part for part in tint] if channels > 1 else [unchanged]
         )
     ] * inputs.history

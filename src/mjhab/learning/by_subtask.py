@@ -77,6 +77,7 @@ class PoliciesTogether(OpenedPolicy):
         cautions = []
         every = [opened.facts for opened in self.opened]
         for entry, facts in zip(self.entries, every, strict=True):
+            # The expert and servers have no file to hash.
             known = facts.identity.get("policy_sha256") or json.dumps(
                 [facts.name, dict(facts.identity)], sort_keys=True
             )
@@ -85,6 +86,7 @@ class PoliciesTogether(OpenedPolicy):
                 profiles.add(facts.identity["policy_profile"])
             needed.append((entry.checkpoint, facts.env_options))
             cautions.append(facts.caution)
+        # Sorted, so that the order of the entries does not matter.
         digest = hashlib.sha256(json.dumps(sorted(hashes)).encode()).hexdigest()
         identity = {"policy_sha256": digest}
         if profiles:
@@ -117,7 +119,9 @@ class PoliciesTogether(OpenedPolicy):
         wanted = (config.subtask,) if config.subtask else TASKS[config.task].subtasks
         having = {entry.subtask for entry in entries}
         for subtask in wanted:
+            # The environment itself executes these.
             teleports = SUBTASKS[subtask].navigates and config.navigate == "teleport"
+            # Found before the rollout: a chain would otherwise fail at its third subtask.
             if subtask not in having and not teleports:
                 raise fault(
                     self.spec,
@@ -197,6 +201,7 @@ class PoliciesBySubtask:
         self._places = {
             (entry.subtask, entry.target): number for number, entry in enumerate(entries)
         }
+        # No subtask has this number, so that the first step enters one.
         self._pointer = np.full(worlds, -1)
         self._chosen = np.full(worlds, -1)
         self._width = width
@@ -224,9 +229,11 @@ class PoliciesBySubtask:
         for number in np.unique(chosen[chosen >= 0]).tolist():
             mine = chosen == number
             policy = self._policies[number]
+            # A policy keeps a history, which belongs to the subtask before.
             if (mine & entering).any():
                 policy.reset(mine & entering)
             shown = [
+                # None stands for a world that a policy has nothing to do in.
                 episode if own else None
                 for episode, own in zip(episodes, mine, strict=True)
             ]
@@ -234,6 +241,7 @@ class PoliciesBySubtask:
             if isinstance(policy, Selective):
                 actions[mine] = policy.act_in(obs, about, mine)[mine]
             else:
+                # Policies without a choice of worlds act in all; what they do in those of others is dropped.
                 actions[mine] = policy.act(obs, about)[mine]
         return actions
 
@@ -259,5 +267,6 @@ class PoliciesBySubtask:
         if episode is None or pointer >= len(episode["plan"]):
             return -1
         entry = episode["plan"][pointer]
+        # A policy of the very target comes before one of all targets.
         of_all = self._places.get((entry["kind"], ""), -1)
         return self._places.get((entry["kind"], kind_of(entry["target"])), of_all)

@@ -44,6 +44,7 @@ def changes_of(spec: Any, config: Any) -> dict[str, Any]:
     found: dict[str, Any] = {}
     for option in dataclasses.fields(spec):
         value = getattr(spec, option.name)
+        # None and () are options that were not given: the preset decides.
         mark = mark_of(type(spec), option.name, Sets)
         if mark is None or value is None or value == ():
             continue
@@ -70,6 +71,7 @@ def with_changes(
     Raises:
         UsageError: there is no such field, or the value has another type or is out of range.
     """
+    # Of the preset, since parts that it leaves out (`None`) cannot be set.
     known = settable(config)
     changed: dict[str, Any] = {}
     for word in words:
@@ -83,6 +85,7 @@ def settable(config: Any) -> dict[str, Any]:
     found: dict[str, Any] = {}
     for name, value in vars(config).items():
         if dataclasses.is_dataclass(value):
+            # The student is what a run is about, so that its fields go without its name.
             prefix = "" if name == STUDENT else f"{name}."
             found |= {f"{prefix}{field}": part for field, part in settable(value).items()}
         elif name not in FIXED and value is not None:
@@ -143,6 +146,7 @@ def _read(name: str, text: str, like: Any, bound: Bound | None) -> Any:
         return tuple(
             _read(name, item, like[0], bound) if like else item for item in items
         )
+    # Before the cast: bool("false") is true.
     if isinstance(like, bool):
         if text not in TRUTH:
             raise wrong_value(f"--set {name}", text, ("true", "false"))
@@ -168,6 +172,7 @@ def _check(label: str, value: Any, bound: Bound | None) -> None:
     """
     if isinstance(value, bool) or not isinstance(value, int | float):
         return
+    # Counts and sizes begin at 1, rates and weights at 0.
     usual = 1 if isinstance(value, int) else 0
     least = usual if bound is None else bound.least
     # Whole numbers of any size are finite; math.isfinite would not take large ones.

@@ -47,6 +47,7 @@ class Checkpoint:
     @property
     def is_untrained(self) -> bool:
         """Whether its network was never updated, as far as the file tells."""
+        # Older files tell the number of updates alone, and the oldest nothing.
         return not self.about.get("trained", self.about.get("step", 1))
 
 
@@ -102,13 +103,16 @@ def load_checkpoint(path: Path) -> Checkpoint:
         config = student_from_plain(described["student"])
         layout = ObservationSpec.from_plain(config.inputs, described["layout"])
         about = read_record(dict[str, Any], head.get("about", {}), "about")
+        # The config has its path and the layout its hash; one alone cannot be checked.
         if bool(config.inputs.backbone) != (layout.backbone is not None):
             raise ValueError("it tells of a backbone in one of two places alone")
     except UsageError as error:
         raise fault(path, str(error)) from error
     except ValueError as error:
         raise fault(path, f"damaged: its header is no student's ({error})") from error
+    # Before a network is built, so that the message names the file and not a layer.
     check_finite(path, tensors)
+    # The path in the file is that of the machine it was trained on.
     if layout.backbone:
         found = find_backbone(path, config.inputs.backbone, layout.backbone)
         config = replace(config, inputs=replace(config.inputs, backbone=found))
@@ -135,6 +139,7 @@ def student_of(path: Path, saved: Checkpoint) -> Student:
     Raises:
         UsageError: the file is a training file or holds the weights of another network.
     """
+    # A header can ask for a network of any size; the weights in the file are what it costs.
     if _described_shapes(path, saved) != _shapes(saved.tensors):
         raise fault(
             path, f"does not hold the weights of a student alone. {_remedy(path)}"
@@ -151,6 +156,7 @@ def _described_shapes(path: Path, saved: Checkpoint) -> dict[str, tuple[int, ...
         UsageError: it describes none.
     """
     try:
+        # Tensors without memory: shapes are all that is asked.
         with torch.device("meta"):
             return _shapes(make_student(saved.config, saved.layout).state_dict())
     # The file chooses the sizes; what torch says about those that do not fit together differs from layer to layer.
@@ -202,6 +208,7 @@ def restoring(path: Path) -> Iterator[None]:
     """
     try:
         yield
+    # A RuntimeError of torch, and not the fault of the file.
     except torch.OutOfMemoryError:
         raise
     except (KeyError, ValueError, TypeError, RuntimeError) as error:
@@ -231,7 +238,9 @@ def save_tensors(
         "about": dict(about),
     }
     kept = {
-        name: tensor.detach().contiguous().clone() for name, tensor in tensors.items()
+        # Cloned, because safetensors refuses tensors that share memory.
+        name: tensor.detach().contiguous().clone()
+        for name, tensor in tensors.items()
     }
     # Not save_file: it makes files that nobody else can read, whatever the umask.
     content = save(kept, {_HEAD: json.dumps(head)})

@@ -248,6 +248,7 @@ class DaggerConfig:
 
     def longest_prefix(self, round_number: int) -> int:
         """Largest number of control steps for which the student acts in a round; 0 in round 0."""
+        # There is no student yet.
         if round_number == 0:
             return 0
         return min(
@@ -509,6 +510,7 @@ def _with_log_std(values: Mapping[str, Any]) -> Mapping[str, Any]:
 
 def _check_size(name: str, value: int | tuple[int, ...], most: int) -> None:
     sizes = value if isinstance(value, tuple) else (value,)
+    # A header of some bytes must not make torch allocate all memory.
     if len(sizes) > MAX_STAGES or not all(0 <= size <= most for size in sizes):
         raise ValueError(
             f"{name}: expected whole numbers from 0 to {most:,}, got {shown(value)}."

@@ -64,6 +64,7 @@ class Demonstrations:
         """
         if not parts or not sum(len(part.usable) for part in parts):
             raise nothing_to_learn()
+        # Rows of each part count from its own start.
         offsets = np.cumsum([0, *(len(part.vector) for part in parts)])[:-1].tolist()
         return cls(
             np.concatenate([part.vector for part in parts]),
@@ -165,6 +166,7 @@ def observation_spec_of_data(
     if not found.matched:
         raise nothing_to_learn()
     path, name = found.matched[0]
+    # Sorted, because the place of a target in the one-hot must not depend on the order of the files.
     targets = tuple(sorted({target for _, target in _goals(found.records)}))
     with open_shard(path) as shard:
         episode = shard.episode(name)
@@ -180,6 +182,7 @@ def observation_spec_of_data(
             robot=str(episode.run.config["env"].get("robot", "")),
             backbone=described(inputs),
         ).in_conventions(episode.conventions)
+        # The first episode tells most mistakes before all are read.
         check_inputs(episode, layout)
     return layout
 
@@ -244,10 +247,12 @@ def read_episode(
     _check_layout(episode, layout)
     steps = Until(hold_steps).steps(episode.array("reward/success"))
     seen = encode_episode(episode, layout, steps)
+    # All steps are kept, since histories and chunks reach over those that teach nothing.
     usable = np.flatnonzero(taught_steps(episode)[:steps])
     return Demonstrations(
         seen.vector,
         seen.images,
+        # What the expert meant: the executed action has noise that nobody should learn.
         episode.array("actions_intended")[:steps],
         np.zeros(steps, np.int64),
         np.full(steps, steps - 1),

@@ -18,6 +18,7 @@ def training_device(name: str) -> torch.device:
     Raises:
         UsageError: this machine has no such device.
     """
+    # Counted and not asked of torch.device, which takes any number.
     found = [f"cuda:{number}" for number in range(torch.cuda.device_count())]
     if name == AUTO:
         return torch.device(found[0] if found else CPU)
@@ -33,6 +34,7 @@ def normal(
     shape: torch.Size | tuple[int, ...], random: torch.Generator, like: Tensor
 ) -> Tensor:
     """Standard normal numbers on the device of ``like``, drawn on the CPU by ``random``."""
+    # A GPU's own generator draws other numbers, and runs would differ by device.
     return torch.randn(shape, generator=random).to(like.device)
 
 

@@ -38,6 +38,7 @@ class Normalizer(nn.Module):
 
     def fit(self, values: np.ndarray, measured: int) -> None:
         """Fit the first ``measured`` columns to values (N, width); the other columns stay unnormalized."""
+        # A float32 sum over a million rows loses the digits that the spread is made of.
         mean = values[:, :measured].mean(axis=0, dtype=np.float64)
         spread = values[:, :measured].std(axis=0, dtype=np.float64)
         self.mean[:measured] = torch.from_numpy(mean.astype(np.float32))
@@ -160,6 +161,7 @@ class StridedCamera(nn.Module):
             layers += [nn.Conv2d(before, after, 3, 2), nn.ReLU()]
             before = after
             size = (size - 3) // 2 + 1
+        # The last convolution of the original has no ReLU behind it.
         self.convolutions = nn.Sequential(*layers[:-1], nn.Flatten())
         self.head = nn.Sequential(
             nn.Linear(before * size * size, features), nn.LayerNorm(features), nn.Tanh()
@@ -218,6 +220,7 @@ class Encoder(nn.Module):
         self.normalizer = Normalizer(
             layout.width, MOST_SPREADS if inputs.normalize else math.inf
         )
+        # "paper_dp" has one encoder for all cameras, which its student makes; those here are not used.
         build = CAMERA_ENCODERS.get(network.encoder, CameraEncoder)
         self.encoders = nn.ModuleList(
             build(
@@ -235,6 +238,7 @@ class Encoder(nn.Module):
         if network.state_features:
             state_width = network.state_features
             self.state = nn.Linear(self.vector_width, state_width)
+            # MS-HAB's SAC normalizes its features of the state as it does those of images.
             if network.encoder == "strided":
                 self.state = nn.Sequential(
                     self.state, nn.LayerNorm(state_width), nn.Tanh()
@@ -253,9 +257,11 @@ class Encoder(nn.Module):
         normalized = self.normalizer(split).flatten(1)
         if not self.cameras:
             return [], normalized
+        # In place: the float copy is new, and images are the largest tensors of a batch.
         seen = images.float().div_(255.0).unflatten(1, (self.history, -1))
         split = seen.split(self.channels, dim=2)
         features = [
+            # Images of one camera of all steps become channels of one, so that a camera has one encoder.
             encoder(image.flatten(1, 2))
             for encoder, image in zip(self.encoders, split, strict=True)
         ]

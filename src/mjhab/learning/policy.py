@@ -70,6 +70,7 @@ class StudentPolicy:
         actions = self._chunks[np.arange(len(place)), place]
         self._step += 1
         self._encoder.executed(actions)
+        # The encoder keeps the array as the previous action, and callers may add noise to theirs.
         return actions.copy()
 
     def plan(self, obs: Any, info: Mapping[str, Any]) -> np.ndarray:
@@ -82,6 +83,7 @@ class StudentPolicy:
         """See `rollout.policy.Correctable`."""
         self._encoder.executed(actions.copy())
         if replan:
+            # To the next multiple of ``execute``, at which a new chunk is due.
             self._step += -self._step % self.student.config.execute
 
     def _plan(
@@ -90,6 +92,7 @@ class StudentPolicy:
         """Predict new chunks for the given worlds, INFERENCE_ROWS at a time."""
         for start in range(0, len(worlds), INFERENCE_ROWS):
             some = worlds[start : start + INFERENCE_ROWS]
+            # Filled up by repeating worlds, since the last bits depend on the number of rows.
             rows = np.resize(some, INFERENCE_ROWS)
             noise = self._noise(rows, info)
             chunks = self.student.act(seen.vector[rows], seen.images[rows], noise)
@@ -101,6 +104,7 @@ class StudentPolicy:
         noise = np.zeros((len(worlds), *shape), np.float32)
         if self.student.draws:
             for row, world in enumerate(worlds.tolist()):
+                # By the episode and not by the world, so that the number of worlds does not matter.
                 index = int((info["episode_spec"][world] or {}).get("index", 0))
                 random = stream(self._seed, "student", index, int(self._step[world]))
                 noise[row] = random.standard_normal(shape, np.float32)
@@ -129,6 +133,7 @@ class StudentEnsemble:
     def act(self, obs: Any, info: Mapping[str, Any]) -> np.ndarray:
         """Actions (W, A) float32 in [-1, 1]."""
         actions = np.mean([member.act(obs, info) for member in self.members], axis=0)
+        # Each member believes that its own action was executed.
         self.replace_action(actions)
         return actions
 

@@ -35,6 +35,7 @@ OBS_MODE = "obs_mode"
 
 def members(spec: str) -> list[Path]:
     """Files of the checkpoints that a specification names."""
+    # A file may have "+" in its name.
     if is_file(Path(spec)):
         return [Path(spec)]
     *first, last = spec.split(f"{CHECKPOINT_SUFFIX}{AND}")
@@ -66,6 +67,7 @@ def joined(name: str, needed: Iterable[tuple[str, Mapping[str, Any]]]) -> dict[s
             if (
                 option == CAMERA_SIZE_OPTION
                 and square
+                # The smaller images are means of whole blocks of the larger ones.
                 and max(kept, value) % min(kept, value) == 0
             ):
                 options[option] = max(kept, value)
@@ -110,6 +112,7 @@ class CheckpointFiles(OpenedPolicy):
         digests = [hashlib.sha256(path.read_bytes()).hexdigest() for path in self.paths]
         digest = digests[0]
         if len(digests) > 1:
+            # In the order given, although the mean does not depend on it: its last bits do.
             digest = hashlib.sha256("".join(digests).encode()).hexdigest()
         options = (layout.env_options() for layout in layouts)
         return PolicyFacts(

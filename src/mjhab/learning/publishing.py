@@ -37,6 +37,7 @@ def gather(policy: Path, folder: Path, licence: str = "") -> None:
     told = {}
     for name, path in _checkpoints(policy).items():
         saved = load_checkpoint(path)
+        # Builds the network once: what cannot act should not be published.
         student_of(path, saved)
         told[name] = {
             "about": dict(saved.about),
@@ -46,9 +47,11 @@ def gather(policy: Path, folder: Path, licence: str = "") -> None:
         shutil.copyfile(path, folder / name)
         if saved.layout.backbone:
             copy = (folder / name).with_name(COPY)
+            # Under the one name by which a checkpoint finds it.
             shutil.copyfile(saved.config.inputs.backbone, copy)
     if policy.is_dir() and (policy / ASSIGNED_FILE).is_file():
         shutil.copyfile(policy / ASSIGNED_FILE, folder / ASSIGNED_FILE)
+    # Before `POLICY` and the card are written, which cannot hold their own hash.
     files = list_files(folder, frozenset())
     record = {
         "format": "mjhab-policy",
@@ -108,5 +111,6 @@ def _about(told: Mapping[str, Any]) -> str:
 
 def _cell(value: Any) -> str:
     text = value if isinstance(value, str) else json.dumps(value)
+    # A bar or a line break would end the cell.
     text = " ".join(text.replace("|", r"\|").split())
     return text if len(text) <= _MOST_TOLD else f"{text[:_MOST_TOLD]} ..."

@@ -34,6 +34,7 @@ def as_begun_now(old: Mapping[str, Any], now: Mapping[str, Any]) -> dict[str, An
     }
     told = dict(old)
     for key, kind in kinds.items():
+        # A damaged file is told by the comparison that follows.
         if isinstance(told.get(key), dict) and isinstance(now.get(key), dict):
             told[key] = _completed(told[key], now[key], kind)
     if old.get("algorithm") == now.get("algorithm") and isinstance(
@@ -53,6 +54,7 @@ def _completed(
         name = field.name
         inner = [
             hint
+            # The arguments, because a part may be optional: ``PpoConfig | None``.
             for hint in (hints[name], *get_args(hints[name]))
             if isinstance(hint, type) and dataclasses.is_dataclass(hint)
         ]
@@ -73,6 +75,7 @@ def _default(field: dataclasses.Field[Any]) -> Any:
         value = None if field.default is dataclasses.MISSING else field.default
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         value = dataclasses.asdict(value)
+    # As it reads from a file: tuples are lists there.
     return json.loads(json.dumps(value))
 
 
@@ -82,6 +85,7 @@ def _lengthen(old: dict[str, Any], now: Mapping[str, Any], path: tuple[str, ...]
     had, has = old, now
     for part in path:
         had, has = had[part], has[part]
+    # A shorter run is another run, which the comparison refuses.
     if not had[name] < has[name]:
         return
     reason = _bound_to_its_length(old)

@@ -48,6 +48,7 @@ def shipped() -> dict[str, str]:
     alone = {
         path.name.removesuffix(CHECKPOINT_SUFFIX)
         for path in FOLDER.glob(f"*{CHECKPOINT_SUFFIX}")
+        # A member of several acts with the others, not alone.
     } - listed
     return {
         name: AND.join(
@@ -70,6 +71,7 @@ def shipped_path(task: str, subtask: str, target: str) -> str:
     if target and objects and not kind.jointed and target not in objects:
         raise unknown_name("target", target, objects)
     there = shipped()
+    # The student for this very target first: it knows more of it.
     for name in (file_name(task, subtask, target), file_name(task, subtask, "")):
         if name in there:
             return there[name]
@@ -89,6 +91,7 @@ def _listed() -> str:
 
 def file_name(task: str, subtask: str, target: str) -> str:
     """File name of a student without the extension; ``target`` is "" of a student for all targets."""
+    # A slash would be a folder.
     parts = (task, subtask, re.sub(r"[^\w-]", "-", target))
     return ".".join(part for part in parts if part)
 
@@ -129,6 +132,7 @@ class ShippedTask(PoliciesTogether):
         for name, opened in zip(named, self.opened, strict=True):
             assert isinstance(opened, CheckpointFiles)
             trained = trained_for(opened.paths[0], opened.content[0].about)
+            # A student may have been trained for more than its file is named for.
             done = next(one for one in trained if file_name(**vars(one)) == name)
             entries.append(Entry(done.subtask, done.target, opened.spec))
         return tuple(entries)
@@ -160,6 +164,7 @@ class ShippedPolicy(OpenedPolicy):
     @cached_property
     def _found(self) -> OpenedPolicy:
         told = self.spec.partition(":")[2]
+        # A name of its own comes before task and subtask.
         if told in shipped():
             return CheckpointFiles(shipped()[told])
         wanted = Wanted.parse(told)

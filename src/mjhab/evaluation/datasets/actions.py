@@ -65,6 +65,7 @@ def converted(episode: RecordedEpisode, mode: str) -> tuple[np.ndarray, np.ndarr
             f"modes with the same servos to {DEFAULT_MODE}.",
         )
     columns = run.layout["columns"]["robot_q"]
+    # The state before each action; the last state has none after it.
     q = episode.array("states/qpos")[:-1][:, columns]
     if recorded == DEFAULT_MODE:
         executed, intended = (_in_mode(controller, each, q) for each in given)
@@ -93,10 +94,13 @@ def _as_deltas(
     for t, now in enumerate(q[:, None]):
         if begins:
             source.reset(np.ones(1, bool), _RecordedJoints(now))
+        # Both actions start from the controller's same memory; the intended one must not move it.
         state = source.get_state(0)
+        # The executed action last: the memory that it leaves is what the next step had.
         for each, aim in zip(reversed(given), reversed(aims), strict=True):
             source.set_state(0, state)
             aim[t] = source.command(each[t][None].astype(float), now)[0, arm]
+        # The environment resets the controller after a teleport, whose joints are others than commanded.
         begins = teleported[t]
     return [
         np.clip(
@@ -133,6 +137,7 @@ def _in_mode(controller: Controller, actions: np.ndarray, q: np.ndarray) -> np.n
     arm = list(robot.arm_columns)
     count = len(arm)
     now = q[:, arm]
+    # Clipped as the controller does, so that the aim is what was commanded.
     aim = now + controller.limits.joint_delta * np.clip(actions[:, :count], -1.0, 1.0)
     moves = _arm_entries(controller, now, aim)
     whole = np.concatenate([moves, actions[:, count:]], axis=1)
@@ -204,6 +209,7 @@ def _succeed(env: RecordedEnv, batch: list[RecordedEpisode], mode: str) -> list[
     succeeded = np.zeros(env.num_envs, bool)
     for t in range(longest):
         for world, each in enumerate(rows):
+            # Episodes that are over go on with their last action, which nobody looks at.
             actions[world] = each[min(t, len(each) - 1)]
         *_, info = env.step(actions)
         running = np.array(

@@ -95,12 +95,14 @@ def make_chain_starts(spec: ChainStartsSpec) -> SpawnSet:
         # A recording may be of a version that had other walls.
         config["assets"] = pack_request(env.config.assets).as_json()
         for recorded in batch:
+            # Only for the message: what else could have been asked for.
             began |= {f"{each.kind}/{kind_of(each.target)}" for each in _begun(recorded)}
             episode = env.make_episode(recorded.record.seed, recorded.record.index)
             for start in _starts(recorded, spec, episode, env.sim.addresses):
                 rows.append(
                     replace(start, episode=replace(start.episode, index=len(rows)))
                 )
+    # The loop may have found no episode at all.
     if layout is None or not rows:
         wanted = "/".join(filter(None, (spec.subtask, spec.target)))
         raise unknown_name("subtask that began in these episodes", wanted, sorted(began))
@@ -161,6 +163,7 @@ def _starts(
             continue
         if spec.target and spec.target not in about:
             continue
+        # The first state of the subtask is the one in which the drive before it ended.
         qpos = states[steps[0]]
         columns = addresses.object_q[:, None] + np.arange(7)
         now = replace(

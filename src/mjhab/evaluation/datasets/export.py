@@ -108,6 +108,7 @@ def run_lerobot(spec: LerobotSpec, begin: Begin | None = None) -> Exported:
         from mjhab.data.export.lerobot.features import Choice
         from mjhab.data.export.lerobot.parts import FilmTools
     except ModuleNotFoundError as error:
+        # Another missing module is a fault of ours and keeps its trace.
         if error.name is None or error.name.partition(".")[0] != "pyarrow":
             raise
         raise missing_library(

@@ -103,6 +103,7 @@ def _maker(spec: ReplaySpec) -> Callable[[RunInfo], RecordedEnv]:
         robot_cameras = tuple(name for name in spec.cameras if name != FOLLOW)
     sight: dict[str, Any] = {"obs_mode": "state"}
     if spec.render is not None:
+        # With the following camera alone the robot's own need not be drawn.
         drawn = spec.render if robot_cameras != () else "state"
         sight = {
             "obs_mode": drawn,

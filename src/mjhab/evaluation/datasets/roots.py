@@ -20,9 +20,12 @@ def roots_of(run: RunInfo, home: str) -> Mapping[str, Root]:
     try:
         height = robot_named(run.robot).base_height
         base = {run.robot: Root((0.0, 0.0, height, *_UPRIGHT))}
+    # A robot of a plugin that is not installed here; the objects are worth exporting all the same.
     except UsageError:
         base = {}
+    # The options of the run tell more than its place: they may choose another stage.
     assets = run.config.get("env", {}).get("assets", run.assets)
+    # As text, because a cache needs a key that can be hashed.
     return {**base, **_furniture(json.dumps(assets), home)}
 
 

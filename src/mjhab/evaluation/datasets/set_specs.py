@@ -95,6 +95,7 @@ class SplitSpec(RecordedSpec):
                 number = float(share)
             except ValueError:
                 number = float("nan")
+            # NaN is the only number that is not itself.
             if not name or "/" in name or name in shares or number != number:
                 raise wrong_value(
                     "parts",

@@ -46,6 +46,7 @@ class _ColumnRanges:
 
     def add(self, rows: np.ndarray) -> None:
         """Add rows (n, D)."""
+        # Sums of squares over millions of rows lose their digits in float32.
         values = rows.astype(np.float64)
         self._count += len(values)
         self._sums = self._sums + values.sum(axis=0)
@@ -56,6 +57,7 @@ class _ColumnRanges:
     def of_columns(self) -> list[dict[str, float]]:
         """Of every column."""
         mean = self._sums / self._count
+        # Rounding may leave a little less than 0 of a constant column.
         std = np.sqrt(np.maximum(self._squares / self._count - mean**2, 0.0))
         told = {"mean": mean, "std": std, "min": self._least, "max": self._most}
         return [
@@ -112,11 +114,13 @@ def describe(
     found = _Contents()
     for episode, target, subset in _episodes(spec):
         found.add(episode, target, subset)
+    # The record cannot hold its own hash, and the configuration changes when the set is extended.
     files = list_files(spec.out, frozenset({ABOUT, "making.json"}))
     size = int(np.sum([each["bytes"] for each in files.values()]))
     totals = Counter[str]()
     for counts in found.targets.values():
         totals.update(counts)
+    # The counter holds frames beside episodes.
     tried = totals.total() - totals["frames"]
     per_thousand = 1000 / max(tried, 1)
     about = {
@@ -243,6 +247,7 @@ def command_of(spec: DatasetSpec) -> str:
         value = getattr(spec, option.name)
         if (
             option.name in ("track", "env", "out", "workers", "ray")
+            # The command should show what was chosen.
             or value == option.default
         ):
             continue

@@ -57,6 +57,7 @@ def push_folder(folder: Path, repo: str, kind: str, private: bool = False) -> Pu
     """
     describing = list_of(folder)
     listed = listed_in(describing)
+    # Before anything is sent: a commit cannot be taken back from those who pulled it.
     _refuse_differences(folder, differences(folder, listed))
     if describing.name == ABOUT and not (folder / README).is_file():
         text = card(read_json_object(describing))
@@ -83,6 +84,7 @@ def pull(spec: PullSpec, kind: str) -> Pulled:
             found.address,
             f"holds none of {', '.join(LISTS)}: it was not pushed by mjhab.",
         )
+    # Files of another set in the folder would become part of this one.
     there = [name for name, _ in published(spec.out)] if spec.out.is_dir() else []
     foreign = [name for name in there if name not in found.files]
     if foreign:

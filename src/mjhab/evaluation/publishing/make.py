@@ -78,6 +78,7 @@ class _Clock:
             ("hours", "cpu_hours"), self._begun, now, strict=True
         ):
             self.told[key] += (after - before) / 3600
+        # Each call adds the time since the last one, so that a kill loses little.
         self._begun = now
         write_text(self._path, json.dumps(self.told))
 
@@ -127,11 +128,13 @@ def run_making(
     Raises:
         UsageError, StorageError, MjhabError: see `make_dataset`.
     """
+    # The command goes on by itself, so that there is no --resume to forget.
     begun = (spec.out / SetFolder.CONFIG_FILE).is_file()
     short: dict[str, tuple[int, int]] = {}
     with SetFolder.open(spec.out, _config(spec), resume=begun):
         clock = _Clock(spec.out)
         for name, row in spec.chosen().items():
+            # A larger quota opens finished rows again.
             if clock.told["rows"].get(name) == spec.per_target:
                 continue
             made = run_generation(
@@ -146,6 +149,7 @@ def run_making(
             else:
                 clock.told["rows"][name] = spec.per_target
             clock.save()
+        # Only when all rows are divided: until then it holds what the next start needs.
         shutil.rmtree(spec.out / REST, ignore_errors=True)
         return MadeDataset(spec.out, _finish(spec, clock), short)
 
@@ -173,6 +177,7 @@ def _divide(spec: DatasetSpec, row: ScoreRow) -> None:
     if any(rest.rglob("*.h5")):
         for subset, filter_text in SUBSETS.items():
             where = Filter(f"{filter_text} and index <= {last}")
+            # A shard without episodes would be refused by its readers.
             if select([rest], where).matched:
                 merge([rest], spec.out / subset / f"{row.name}.h5", where)
     if spec.failures:
@@ -210,6 +215,7 @@ def _splits(folder: Path, held_out: float) -> dict[str, Any]:
         taken = set(deal(homes, {VAL: held_out}, 0)[VAL])
         chosen = {home for home, found in homes.items() if taken.issuperset(found)}
     if len(chosen) == len(homes):
+        # With all homes held out nothing would be left to train on; the name breaks ties.
         chosen.remove(max(chosen, key=lambda home: (sizes[home], home)))
     parts = {VAL: sorted(chosen), "train": sorted(set(homes) - chosen)}
     return {

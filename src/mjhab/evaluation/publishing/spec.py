@@ -121,6 +121,7 @@ class DatasetSpec(EnvSpec):
             )
         self.chosen()
         for row in self.chosen().values():
+            # Made once here, so that a wrong filter or style is told before the first row runs for hours.
             self.generation(row)
 
     def chosen(self) -> dict[str, ScoreRow]:
@@ -154,6 +155,7 @@ class DatasetSpec(EnvSpec):
             "task": row.task,
             "subtask": row.subtask,
             "target": row.target,
+            # The benchmark evaluates in the homes of val and test.
             "split": "train",
         }
         preset = f"{row.subtask}_paper"
@@ -178,6 +180,7 @@ class DatasetSpec(EnvSpec):
             rgb=self.rgb,
             workers=self.workers,
             ray=self.ray,
+            # A row that was interrupted has a folder.
             resume=self.folder(row).is_dir(),
         )
 

@@ -89,6 +89,7 @@ class ActionKeeper(StartKeeper):
         text = f"{self.starts[index]} {packed} {int(self.continuing[index])}"
         path = kept_path(self._folder, index)
         path.parent.mkdir(parents=True, exist_ok=True)
+        # One file per episode: a kill loses none that is finished.
         write_atomic(path, lambda temporary: temporary.write_text(text, encoding="ascii"))
 
 
@@ -99,6 +100,7 @@ def kept_path(folder: Path, index: int) -> Path:
 
 def packed_actions(actions: np.ndarray) -> str:
     """Encode actions (N, A) as text: "A:", then zlib-compressed float32 in base64."""
+    # Little-endian on every machine; the highest level, since files are written once and shared.
     packed = zlib.compress(np.asarray(actions, "<f4").tobytes(), 9)
     return f"{actions.shape[1]}:{base64.b64encode(packed).decode('ascii')}"
 
@@ -113,13 +115,17 @@ def unpacked_actions(text: str) -> np.ndarray:
     try:
         inflater = zlib.decompressobj()
         data = inflater.decompress(
-            base64.b64decode(packed, validate=True), MAX_ACTIONS_BYTES
+            # A few kB could unpack to TB.
+            base64.b64decode(packed, validate=True),
+            MAX_ACTIONS_BYTES,
         )
+        # `decompress` with a limit returns what fits and says nothing.
         if not inflater.eof:
             raise ValueError("they end too early, or are too long")
         actions = np.frombuffer(data, "<f4").reshape(-1, int(width))
     except (ValueError, zlib.error, binascii.Error) as error:
         raise UsageError(f"the actions of an episode cannot be read: {error}.") from error
+    # A file from elsewhere must not bring the simulation to diverge.
     if not np.isfinite(actions).all():
         raise UsageError("the actions of an episode hold numbers that are not finite.")
     return actions.astype(np.float32)
@@ -166,6 +172,7 @@ class Replayed:
             index = -1 if spec is None else int(spec["index"])
             actions = self._actions.get(index, none)
             step = int(self._step[w])
+            # The replay must not go on: what the policy would have done is not known.
             self._faults[w] = NO_MORE if step >= len(actions) else ""
             if step < len(actions):
                 acted[w] = actions[step]

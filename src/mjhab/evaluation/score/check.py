@@ -60,6 +60,7 @@ def check(
         UsageError: the score was made in other homes, or with another stage; or the actions cannot be read.
     """
     check_homes(result, ScoreHomes.of(assets))
+    # Not to be foreseen, so that nobody can know which episodes will be checked.
     seed = secrets.randbits(32) if seed is None else seed
     random = stream(seed, "score", "check")
     count = min(CHECKED_EPISODES, len(result.episodes))
@@ -109,6 +110,7 @@ def _check_row(
     options = {
         name: tuple(value) if isinstance(value, list) else value
         for name, value in result.facts["policies"][row.name]["env_options"].items()
+        # A replay sees nothing, and drawing would take most of its time.
         if name not in ("obs_mode", "cameras", "camera_size", "profile")
     }
     facts = PolicyFacts(str(result.facts["policy"]), env_options=options)
@@ -145,10 +147,12 @@ def _compare(
     name: str, scored: ScoredEpisode, seen: ScoredEpisode, found: Checked
 ) -> None:
     found.episodes += 1
+    # The replay has no style; what it did is in the actions.
     plain = dataclasses.replace(scored.record, style={})
     told, replayed = _outcome(scored), _outcome(seen)
     if told != replayed:
         found.wrong[name] = f"file: {told}, replay: {replayed}"
+    # Forces may differ in their last bits between machines, while outcomes agree.
     elif plain != seen.record or scored.start != seen.start:
         found.inexact.append(name)
 

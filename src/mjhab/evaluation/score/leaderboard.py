@@ -28,6 +28,7 @@ def leaderboard(results: Sequence[ScoreResult]) -> str:
     parts = [_HEAD]
     for track in TRACKS:
         some = [result for result in results if result.facts["track"] == track]
+        # A set has no order, and the page should not change by itself.
         for homes in sorted({result.manifest.homes for result in some}, key=str):
             parts += _section([r for r in some if r.manifest.homes == homes])
     return "\n\n".join(part.strip() for part in parts) + "\n"
@@ -37,6 +38,7 @@ def _section(results: Sequence[ScoreResult]) -> list[str]:
     """Heading and tables of scores that can be compared."""
     some = sorted(
         results,
+        # Incomplete ones last, whatever their score: they may have left out the hard rows.
         key=lambda result: (-result.summary["complete"], -result.summary["score"]),
     )
     asked = some[0].manifest
@@ -102,6 +104,7 @@ def _row_cell(row: Mapping[str, Any]) -> str:
     if not row["done"]:
         return "-"
     low, high = row["interval"]
+    # A whole task's score is a mean of shares, for which Wilson's interval does not hold.
     interval = f" ({100 * low:.0f} to {100 * high:.0f})" if row["subtask"] else ""
     later = row.get("score_continuing")
     going_on = "" if later is None else f" / {_percent(later)}"

@@ -169,6 +169,7 @@ class Manifest:
     def digest(self) -> str:
         """Hash of the whole manifest."""
         rows = [asdict(row) for row in self.rows]
+        # As a number where it is one: digests of older scores stay what they are.
         seeds = self.seeds[0] if len(self.seeds) == 1 else self.seeds
         content: list[object] = [VERSION, self.track, self.split, rows, seeds]
         content.append(dict(self.starts))
@@ -217,6 +218,7 @@ def manifest(
         raise unknown_name("split", split, SPLITS)
     ROBOTS.check(robot)
     key = starts_key(track, split, homes)
+    # Another robot begins elsewhere, and has no digests to compare with.
     written = _starts().get(key, {}) if robot == DEFAULT_ROBOT else {}
     starts = {row: tuple(digests) for row, digests in written.items()}
     return Manifest(

@@ -130,6 +130,7 @@ def score_perturbed(
     asked = result.manifest
     clean: dict[str, list[EpisodeRecord]] = {row.name: [] for row in asked.rows}
     for episode in result.episodes:
+        # Both sides of a pair are judged by the same rule.
         clean[episode.row].append(judged(episode.record))
     policies = result.facts["policies"]
     rows = [row for row in asked.rows if row.name in policies]
@@ -143,6 +144,7 @@ def score_perturbed(
             if _reached(spec, row, axis, policies[row.name]["env_options"]):
                 records = _records(spec, result, row, axes_text({axis: level}), sinks)
             else:
+                # The policy could not notice the axis: running it again would give the same episodes.
                 records = clean[row.name]
                 unreached.append(row.name)
             found[row.name] = paired(clean[row.name], records)
@@ -180,6 +182,7 @@ def _reached(
     )
     images = mode_outputs(options.get("obs_mode", EnvConfig().obs_mode))
     if POINTCLOUD in images:
+        # Point clouds are made of colour and depth.
         images += DRAWN_OUTPUTS
     if TARGET_RGB in images:
         images += (RGB,)

@@ -24,6 +24,7 @@ FORMAT = "mjhab-score"
 SUMMARY_FORMAT = "mjhab-score-summary"
 VERSION = 1
 RESULT_FILE = "result.json"
+# More would fill the memory before anything of it is checked.
 MAX_FILE_BYTES = 1 << 30
 ARM_FIELDS: Mapping[str, Any] = {
     "axis": str,
@@ -84,6 +85,7 @@ def perturbed_arms(facts: Mapping[str, Any]) -> list[Mapping[str, Any]]:
         raise wrong_type("facts.perturbed", arms, "a list")
     for arm in arms:
         fits = isinstance(arm, dict) and all(
+            # JSON's true is an int to Python.
             isinstance(arm.get(name), kind) and not isinstance(arm[name], bool)
             for name, kind in ARM_FIELDS.items()
         )
@@ -119,6 +121,7 @@ def write_result(
     text = json.dumps(content, separators=(",", ":"))
     path.parent.mkdir(parents=True, exist_ok=True)
     write_atomic(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
+    # Read back, so that what is returned is what the check of others will see.
     return read_result(path)
 
 
@@ -187,6 +190,7 @@ def _is_like(value: object, example: object) -> bool:
 def digest_of(content: Mapping[str, Any]) -> str:
     """SHA-256 over the content of a result file without its digest."""
     rest = {key: value for key, value in content.items() if key != "digest"}
+    # Sorted, so that the digest does not depend on who wrote the file.
     text = json.dumps(rest, sort_keys=True, separators=(",", ":"))
     return hashlib.sha256(text.encode()).hexdigest()
 
@@ -234,6 +238,7 @@ def _result_of(path: Path, content: Mapping[str, Any]) -> ScoreResult:
         made_for = result.facts["manifest"]
     except (KeyError, TypeError, ValueError) as error:
         raise fault(path, f"damaged: {error!r}.") from error
+    # Before anything that reads them: the file may come from anybody.
     _check_facts(path, result.facts, asked)
     _check_names(path, asked, episodes)
     lacking = sorted(
@@ -242,6 +247,7 @@ def _result_of(path: Path, content: Mapping[str, Any]) -> ScoreResult:
     if lacking:
         raise fault(path, f"was edited: facts.policies lacks {', '.join(lacking)}.")
     _check_manifest(path, made_for, asked)
+    # Through JSON: tuples become lists there, and counters plain dicts.
     if json.loads(json.dumps(summary_of(asked, episodes))) != result.summary:
         raise fault(path, "was edited: its numbers do not follow from its episodes.")
     return result

@@ -87,15 +87,18 @@ def score(
                 f"Score it with --robot {facts.robot}.",
                 f"policy {facts.name}",
             )
+        # Left out for the default one, so that scores of older versions compare equal.
         if robot != DEFAULT_ROBOT:
             options["robot"] = robot
         policies[row.name]["env_options"] = plain(options)
         for seed in asked.seeds:
             evaluation = evaluation_of(spec, asked, row, seed, options)
             kept = spec.folder / "actions" / folder_name(asked, row, seed)
+            # The keeper comes first: an episode with a record always has its actions.
             run = run_evaluation(evaluation, [ActionKeeper(kept), *sinks(evaluation)])
             # The summary of a run counts its earlier starts, too.
             seconds += run.summary["seconds"]
+            # An earlier start may have run more episodes than are asked for now.
             wanted = [r for r in run.records if r.index < evaluation.episodes]
             episodes += [_scored(asked, row, record, kept) for record in wanted]
     if not policies:
@@ -248,6 +251,7 @@ def hardware() -> dict[str, Any]:
         "cores": cores(),
         "system": f"{platform.system()} {platform.machine()}",
     }
+    # Not imported for the name of a GPU that nothing used.
     torch = sys.modules.get("torch")
     if torch is not None and torch.cuda.is_available():
         found["gpu"] = torch.cuda.get_device_name(0)

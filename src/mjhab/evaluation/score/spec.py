@@ -102,6 +102,7 @@ class ScoreSpec(TrackSpec):
     def __post_init__(self) -> None:
         super().__post_init__()
         ROBOTS.check(self.asked.robot)
+        # The class is frozen; in one form, so that equal requests compare equal.
         object.__setattr__(self, "perturb", axes_text(self.axes))
         given = given_to_server(self.served)
         object.__setattr__(self, "policy", with_options(self.policy, given))
@@ -116,6 +117,7 @@ class ScoreSpec(TrackSpec):
         """``out``, or the folder of the policy and the track."""
         if self.out is not None:
             return self.out
+        # Addresses of servers may hold one, and folder names are seen by others.
         words = [without_password(self.policy), self.track, self.asked.split]
         words += [self.env["robot"]] if "robot" in self.env else []
         if "assets" in self.env:

@@ -46,6 +46,7 @@ def write_starts(
             continue
         known[row.name] = starts_of(asked, row, worlds, threads, assets)
         count += asked.count(row)
+        # After every row, since a kill should cost one at most.
         _write(json.dumps(content, indent=0, sort_keys=True) + "\n")
     return count
 

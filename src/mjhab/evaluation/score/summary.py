@@ -53,6 +53,7 @@ def summary_of(asked: Manifest, episodes: Sequence[ScoredEpisode]) -> dict[str, 
         "score": mean(row["score"] for row in rows),
         **more,
         "episodes": len(episodes),
+        # Other starts are other episodes, whose score cannot be compared.
         "complete": len(episodes) == wanted and not others,
         "other_starts": others,
         "tainted": sum(bool(episode.record.taint) for episode in episodes),
@@ -81,7 +82,9 @@ def _row_summary(
     won = sum(record.success_once for record in clean)
     done = won
     if not row.subtask:
+        # Summed in order, so that a verifier gets the same last bit.
         done = ordered_sum(record.completed / len(record.plan) for record in clean)
+    # Tainted episodes count in the denominator: they are no success, and leaving them out would pay.
     count = len(episodes)
     more: dict[str, Any] = {}
     if len(asked.seeds) > 1:

@@ -93,6 +93,7 @@ class ActionReader:
             for entry in entries
         ]
         if self._space.closes:
+            # RoboArena's grippers count from open to closed.
             bounds[wanted.index(GRIPPER)] = (0.0, 1.0)
         self._low, self._high = np.array(bounds, np.float64).T
 
@@ -123,9 +124,11 @@ class ActionReader:
 
     def read(self, chunk: np.ndarray) -> np.ndarray:
         """Convert valid actions (H, A) of a policy to environment actions (H, width) float32."""
+        # Entries that the policy does not send stand still at 0.
         actions = np.zeros((len(chunk), self._width), np.float32)
         actions[:, self._columns] = chunk
         if self._space.closes:
+            # Ours count from -1 closed to 1 open.
             actions[:, self.gripper] = 1.0 - 2.0 * actions[:, self.gripper]
         return actions
 

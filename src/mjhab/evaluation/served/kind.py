@@ -36,6 +36,7 @@ class ServerAddress(OpenedPolicy):
         try:
             metadata = connection.greet()
         finally:
+            # The description is asked for before the environment exists, and a run has connections of its own.
             connection.close()
         own = own_part(metadata)
         pace = Pace.of(address)
@@ -54,6 +55,7 @@ class ServerAddress(OpenedPolicy):
         }
         name = str(own.get("policy") or metadata.get("model_name") or address.dialect)
         return PolicyFacts(
+            # The name becomes part of folders, and comes from the server.
             f"served-{re.sub(r'[^A-Za-z0-9_.-]', '-', name)[:60]}",
             identity,
             env_options_of(address, metadata),

@@ -30,6 +30,7 @@ def space_of(address: Address, metadata: Mapping[str, Any]) -> str:
         UsageError: the action space of the address is unknown.
     """
     if address.actions:
+        # Checked here, because it was typed by the user; what a server names wrongly is passed over.
         space_named(address.actions)
         return address.actions
     named = metadata.get("action_space")

@@ -76,6 +76,7 @@ class ServedPolicy:
         count = 1 if address.batch else env.num_envs
         patience = Patience(address)
         self._connections = [Connection(address, patience) for _ in range(count)]
+        # Threads: they wait for the network, and servers answer several requests at a time.
         self._pool = ThreadPoolExecutor(count)
         metadata = self._connections[0].greet()
         own = own_part(metadata)
@@ -93,6 +94,7 @@ class ServedPolicy:
         self._told_late = False
         needs = own.get("needs", ())
         self._needs = set(needs) if isinstance(needs, list) else set()
+        # Only servers of mjhab ask for it, and it is sent with every request.
         self._config = describe_run(env, {}).config if self._needs else {}
         self._worlds = [_new_episode() for _ in range(env.num_envs)]
         self._counting = threading.Lock()
@@ -137,15 +139,19 @@ class ServedPolicy:
             w for w, world in enumerate(self._worlds) if asked[w] and not world.fault
         ]
         for w in running:
+            # Before the worlds that are due are chosen: an answer that is there now is not asked for again.
             self._worlds[w].playback.receive(self._worlds[w].step, self._pace)
         execute = self._address.execute
         due = [w for w in running if self._worlds[w].playback.is_due(execute)]
         groups = [due] if self._address.batch else [[w] for w in due]
         groups = [group for group in groups if group]
+        # Made before the threads run, since the environment is not made for several.
         asks = [[self._ask(w, obs, info) for w in group] for group in groups]
+        # A thread costs more than it saves for a single request.
         if len(groups) == 1:
             self._ask_server(groups[0], asks[0])
         else:
+            # The list waits for all, and raises what a thread raised.
             list(self._pool.map(self._ask_server, groups, asks))
         actions = np.zeros((len(self._worlds), len(self._env.action_table)), np.float32)
         still = self._still() if self._pace is not None else actions
@@ -179,6 +185,7 @@ class ServedPolicy:
 
     def close(self) -> None:
         """Close the connections."""
+        # A server that hangs must not hold up the end.
         self._pool.shutdown(wait=False, cancel_futures=True)
         for connection in self._connections:
             connection.close()
@@ -192,6 +199,7 @@ class ServedPolicy:
             world.begun = True
         try:
             chunks = connection.ask(asks, begins)
+        # It ends these episodes and not the evaluation.
         except PolicyFault as error:
             for world in running:
                 world.fault = _fault_text(str(error))
@@ -231,6 +239,7 @@ class ServedPolicy:
             for name, number in zip(self._reader.names, outside.sum(0), strict=True)
             if number
         }
+        # Several threads count at a time.
         with self._counting:
             is_first = not self._outside
             self._outside.update(found)
@@ -249,6 +258,7 @@ class ServedPolicy:
         )
         robot = self._env.layout.robot
         external, wrist = (*robot.camera_names, "", "")[:2]
+        # Policies of states alone have no images.
         head, hand = (obs.get(camera_key(camera, "rgb")) for camera in (external, wrist))
         parts = split_state(self._env) if self._splits else None
         q = self._env.state.robot_q[w]
@@ -314,5 +324,6 @@ def _new_episode() -> _Running:
 
 
 def _fault_text(text: str) -> str:
+    # The text comes from the server and goes into records and terminals.
     printable = "".join(c if c.isprintable() else " " for c in text)
     return printable[:MAX_FAULT_CHARACTERS]

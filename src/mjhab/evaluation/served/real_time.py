@@ -46,6 +46,7 @@ class Pace:
 
     def delay(self, measured_ms: float) -> int:
         """Control steps from an observation to the answer, whose request took ``measured_ms``."""
+        # An answer that comes within a step acts from the next one.
         return math.ceil(1e-3 * self.in_force_ms(measured_ms) * self.hz - _SLACK)
 
 
@@ -78,6 +79,7 @@ class Playback:
 
     def is_due(self, execute: int) -> bool:
         """Whether the policy must be asked: ``execute`` actions were executed, or none is left."""
+        # One request at a time: a server that is behind must not get a queue.
         return self.pending is None and (not self._left or self.taken >= execute)
 
     def receive(self, step: int, pace: Pace | None) -> None:

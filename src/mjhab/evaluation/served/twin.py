@@ -109,6 +109,7 @@ class TwinResponder:
                     del self._idle[place]
                     return twin
             env = self._make_env(config)
+            # A state must exist before a client's can be set.
             env.reset(seed=0)
             return ObservationAdapter(env, self._opened.build(env, self._options))
 
@@ -131,6 +132,7 @@ class TwinResponder:
                 options[named[0]],
                 "left out by clients: they may not name files",
             )
+        # A client may not make the server read other folders.
         if options.get("assets", BUILTIN) != self._assets:
             raise wrong_value(
                 "assets",
@@ -146,6 +148,7 @@ class TwinResponder:
             if name != "profile"
         }
         build = make_train if config.get("maker") == TRAIN_MAKER else make
+        # One world per twin: clients come and go with any number of them.
         return build(**{**options, **sight}, num_envs=1, threads=1, autoreset="disabled")
 
 
@@ -183,6 +186,7 @@ class TwinSession:
         free = list(self._twins)
         chosen: dict[int, ObservationAdapter] = {}
         for k, part in enumerate(parts):
+            # Its policy has the history of this episode; another twin would have to begin.
             known = [twin for twin in free if twin.expects == _place_of(part)]
             if known:
                 chosen[k] = known[0]
@@ -214,6 +218,7 @@ def _act(twin: ObservationAdapter, part: Mapping[str, Any]) -> np.ndarray:
     # The state is a nested structure from outside: any error in it is the client's.
     except Exception as error:
         raise UsageError(f"the state of the world cannot be used: {error!r}") from error
+    # A new episode, or one whose last steps went elsewhere: nothing that the policy remembers fits.
     if twin.expects != place:
         twin.policy.reset(np.ones(1, bool))
     seen = _mapping(part.get("observation"), "observation")

@@ -143,6 +143,7 @@ def _taken(spec: ShotSpec, take: Take, file: Path | None) -> TakenShot:
 def _save(image: np.ndarray, file: Path) -> None:
     from PIL import Image
 
+    # A viewer that watches the file never sees half of it.
     write_atomic(file, Image.fromarray(image).save)
 
 
@@ -199,6 +200,7 @@ class Studio:
         """
         steps = np.linspace(first, self._take.steps, count).round().astype(int)
         last: Setup | None = None
+        # A short episode has fewer steps than were asked for.
         for step in np.unique(steps).tolist():
             scene = self._scene(step)
             view = self._view(scene)
@@ -217,6 +219,7 @@ class Studio:
         with FilmWriter(file, TURN_FPS) as film:
             for view in views:
                 image = with_words(self._drawn(view, size, FILM_QUALITY), words)
+                # A film may be long, so that its other frames are not kept.
                 first = image if first is None else first
                 film.add(image)
         assert first is not None
@@ -240,6 +243,7 @@ class Studio:
             state.body_mat[0].copy(),
             state.robot_q[0, BASE].copy(),
             tcp,
+            # Subtasks without a target, such as Navigate, have none in their state.
             target if np.isfinite(target).all() else tcp,
         )
 
@@ -261,6 +265,7 @@ class Studio:
         """The place of a camera of the robot."""
         pos, mat = self._renderer.camera_poses(self._take.env.sim.state(), [camera])
         fovy = float(self._renderer.fields_of_view([camera])[0])
+        # Cameras of MuJoCo look along their -z.
         return Viewpoint(pos[0, 0], pos[0, 0] - mat[0, 0, :, 2], fovy, mat[0, 0, :, 1])
 
     def _around(self, scene: FilmedMoment) -> Sequence[Viewpoint]:
@@ -268,6 +273,7 @@ class Studio:
         tall = self._renderer.follow.tall(scene.home)
         x0, y0, x1, y1 = self._home.floor
         start = self._camera.best(scene).eye - scene.middle
+        # Begins where the film camera would stand, from where hand and target are in sight.
         turns = np.arctan2(start[1], start[0]) + np.linspace(
             0.0, 2.0 * np.pi, TURN_FRAMES, endpoint=False
         )
@@ -286,6 +292,7 @@ class Studio:
             near = sphere_box_distance(eyes.reshape(-1, 3), tall).min(axis=1)
             free &= (near > TURN_ROOM_M).reshape(free.shape)
         reach = radii[
+            # The farthest radius up to which all nearer ones are free: the camera must not stand behind a wall.
             np.maximum(np.logical_and.accumulate(free, axis=1).sum(axis=1) - 1, 0)
         ]
         smooth = _smoothed(reach)

@@ -90,6 +90,7 @@ class ShotSpec(EnvSpec):
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        # The class is frozen.
         object.__setattr__(self, "place", Path(self.place))
         cameras = sorted(
             {name for robot in ROBOTS.values() for name in robot.camera_names}

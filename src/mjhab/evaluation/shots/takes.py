@@ -78,6 +78,7 @@ def _recorded(spec: ShotSpec, place: Path, sight: Mapping[str, Any]) -> Take:
         raise no_episode(
             spec.episode, place, sorted(entry.record.index for entry in known)
         )
+    # Seeds and configurations of one folder may have the same index.
     if len(found) > 1:
         files = ", ".join(str(entry.path) for entry in found[:4])
         raise wrong_value(
@@ -119,6 +120,7 @@ def _in_world(base: np.ndarray, height: float, points: np.ndarray) -> np.ndarray
     x = base[:, 0] + cos * points[:, 0] - sin * points[:, 1]
     y = base[:, 1] + sin * points[:, 0] + cos * points[:, 1]
     placed = np.stack([x, y, points[:, 2] + height], axis=1)
+    # Zeros are what is observed where there is no target.
     return np.where(np.any(points, axis=1)[:, None], placed, np.nan)
 
 
@@ -147,6 +149,7 @@ class _StateKeeper(Sink["SequentialTaskEnv"]):
 
     def on_step(self, env: SequentialTaskEnv, step: StepView) -> None:
         self._keep(env, step.info)
+        # Later steps are not shown, and a chain takes minutes.
         if self._until is not None and len(self.qpos) > self._until:
             raise _Enough
 

@@ -50,6 +50,7 @@ def chosen(
     if wanted is None:
         return tuple(entries)
     best: dict[tuple[str, str], Entry] = {}
+    # Reversed, because "" sorts first and stands for all tasks: named tasks must be taken before it.
     for entry in sorted(entries, key=lambda entry: entry.task, reverse=True):
         if entry.task in ("", wanted.task) and _acts_in(entry, wanted):
             best.setdefault((entry.subtask, entry.target), entry)
@@ -89,6 +90,7 @@ def _acts_in(entry: Entry, wanted: Wanted) -> bool:
         return True
     if entry.subtask != wanted.subtask:
         return False
+    # An entry for all targets fits any, and a request without a target leaves the choice to the episode.
     return not (entry.target and wanted.target) or entry.target == kind_of(wanted.target)
 
 
@@ -102,6 +104,7 @@ def trained_for(path: Path, about: Mapping[str, Any]) -> list[Wanted]:
     Raises:
         UsageError: it does not tell.
     """
+    # Files of other programs may be students that nothing was recorded of.
     if "scene" not in about:
         raise fault(
             path,
@@ -118,4 +121,5 @@ def trained_for(path: Path, about: Mapping[str, Any]) -> list[Wanted]:
         ]
     except (TypeError, ValueError) as error:
         raise fault(path, f"is damaged: {error}") from error
+    # A dict keeps the order of the file.
     return list(dict.fromkeys(told))

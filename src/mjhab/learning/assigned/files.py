@@ -76,12 +76,14 @@ def _beside(path: Path, spec: str) -> str:
     """
     if spec in LEARNED_NAMES:
         raise fault(path, f"say which policy: {LEARNED}:TASK/SUBTASK/TARGET.")
+    # Files that name each other would have no end.
     if spec.endswith(POLICIES_SUFFIX):
         raise fault(
             path, f"an entry names one policy, not another policies file ({spec})."
         )
     if spec in NAMED_POLICIES or spec.startswith(WITHOUT_FILE):
         return spec
+    # This prefix is followed by a file; the others of `WITHOUT_FILE` are not.
     prefix = MS_HAB_PREFIX if spec.startswith(MS_HAB_PREFIX) else ""
     files = policy_kind.members(spec.removeprefix(prefix))
     return prefix + policy_kind.AND.join(str(beside(path, str(file))) for file in files)
@@ -114,6 +116,7 @@ def entries_in(folder: Path) -> tuple[Entry, ...]:
     from mjhab.learning.checkpoint import load_checkpoint
 
     suffix = policy_kind.CHECKPOINT_SUFFIX
+    # One level down only: deeper lie the checkpoints of single rounds.
     found = [*folder.glob(f"*{suffix}"), *folder.glob(f"*/{STUDENT}")]
     # A run's own folder has the state of its training, too.
     paths = sorted(path for path in found if path.name != TRAINING)

@@ -75,12 +75,14 @@ def join(spec: PolicyJoinSpec) -> JoinedPolicy:
     """
     read = entries_in if spec.policies.is_dir() else read_entries
     entries = read(spec.policies)
+    # One member for all entries of a file, so that its weights are stored once.
     files = list(dict.fromkeys(entry.checkpoint for entry in entries))
     for file in files:
         if not is_file(Path(file)):
             raise fault(
                 file, "is no checkpoint; only those of `mjhab train` can be joined."
             )
+    # All are read before anything is made, so that a wrong one is refused at once.
     saved = [load_checkpoint(Path(file)) for file in files]
     members = [
         _member(Path(file), one, files[0], saved[0])
@@ -147,6 +149,7 @@ def _member(
             path,
             "cannot be joined: give students with inputs.condition=true and inputs.sentence=false.",
         )
+    # Compared with the first one: members act by one head and one layout.
     mine, others = saved.config, wanted.config
     told = {
         "inputs": (_apart_from_views(mine.inputs), _apart_from_views(others.inputs)),
@@ -165,11 +168,13 @@ def _member(
 
 
 def _apart_from_views(inputs: InputConfig) -> InputConfig:
+    # Views may differ, since each member looks at its own.
     return dataclasses.replace(inputs, whole_views=True, target_views=True)
 
 
 def _apart_from_tasks(saved: Checkpoint) -> ObservationSpec:
     inputs = _apart_from_views(saved.layout.inputs)
+    # Targets and kinds are what members differ in by purpose.
     return dataclasses.replace(saved.layout, targets=(), kinds=(), inputs=inputs)
 
 
@@ -200,6 +205,7 @@ def _routes(
             or scene.target not in ("", named)
         ):
             continue
+        # A member of all targets gets a route for each of them.
         targets = (named,) if named else _targets(scene)
         found += [(scene, target) for target in targets]
     if not found:
@@ -225,11 +231,13 @@ def _sentences(scene: Scene, target: str, spec: PolicyJoinSpec) -> tuple[str, ..
     """All wordings of the requests of some episodes."""
     # Starts of a file may be few; what is said does not depend on them.
     one = dataclasses.replace(scene, target=target, spawns="", randomise="")
+    # No images: sentences come from the plan, and rendering would take most of the time.
     env = make_env(one, {"obs_mode": "state"}, Resources(WORLDS, threads=1))
     found: dict[str, None] = {}
     for start in range(0, spec.episodes, WORLDS):
         env.reset(seed=spec.seed + start)
         for world in range(WORLDS):
+            # A dict, so that the gate is fitted to the same order every time.
             found |= dict.fromkeys(
                 sentence for said in env.wordings(world) for sentence in said
             )
@@ -246,6 +254,7 @@ def _check_apart(routes: Sequence[KnownRequest]) -> None:
     seen: dict[str, KnownRequest] = {}
     for route in routes:
         for sentence in route.sentences:
+            # All routes, not only those of other members: a sentence with two routes has no right one.
             other = seen.setdefault(sentence, route)
             if other is not route:
                 raise UsageError(
@@ -292,6 +301,7 @@ def joined(
     assert isinstance(trunk, RoutedTrunk)
     width = trunk.width // len(members)
     with torch.no_grad():
+        # Columns of the members that do not act must add nothing.
         made.head.weight.zero_()
         made.head.bias.zero_()
         for number, member in enumerate(members):
@@ -299,9 +309,11 @@ def joined(
             assert isinstance(expert, Trunk)
             _take_over(expert, member, [_code(route, number, member) for route in routes])
             rows = len(made.head.weight)
+            # Members normalize actions each by itself; the joined head gives them unnormalized.
             scale = member.action_normalizer.scale.repeat(config.chunk)
             mean = member.action_normalizer.mean.repeat(config.chunk)
             mine = made.head.weight[:, number * width : (number + 1) * width]
+            # Column 0 of a member's features is 1 where it acts, so that its bias is switched as well.
             mine[:, 0] = member.head.bias[:rows] * scale + mean
             mine[:, 1:] = member.head.weight[:rows] * scale[:, None]
     return made.eval().requires_grad_(False)
@@ -311,6 +323,7 @@ def _code(route: KnownRequest, number: int, member: BehaviourCloning) -> Tensor:
     """What a member is told on a route; zeros on those of the others."""
     width = member.layout.conditioning_width
     if route.member != number:
+        # The gate never sends these routes here, so that any value would do.
         return torch.zeros(width)
     asked = SubtaskConditioning(route.scene.subtask, route.target, "")
     return torch.from_numpy(code_of(asked, member.layout))
@@ -335,6 +348,7 @@ def _take_over(expert: Trunk, member: BehaviourCloning, codes: Sequence[Tensor])
     new = {**old, first: torch.cat(parts, dim=1)}
     for name, filler in (("mean", 0.0), ("scale", 1.0)):
         key = f"encoder.normalizer.{name}"
+        # Codes are not normalized: mean 0 and scale 1 leave them as they are.
         rest = torch.full((len(codes),), filler)
         new[key] = torch.cat([old[key][:measured], rest])
     expert.load_state_dict(new)

@@ -70,6 +70,7 @@ class Backbone:
         check_imports(("onnxruntime",), "vision")
         if not is_file(path):
             raise fault(path, f"does not exist. Give a backbone as ONNX. {EXPORT}")
+        # The hash and the network are of the same bytes, even if the file changes in between.
         content = read_bytes(path, MOST_MB)
         self._path = path
         self._session = _session(path, content)
@@ -82,6 +83,7 @@ class Backbone:
         if not (self._std > 0).all():
             raise fault(path, f"its metadata {STD} must be above 0. {EXPORT}")
         self._kept: OrderedDict[bytes, np.ndarray] = OrderedDict()
+        # The file's own description of outputs may leave sizes open.
         shape = np.shape(self._run(np.zeros((size, size, 3), np.uint8), size))
         if len(shape) != 2 or shape[0] != 1:
             raise fault(path, f"its first output is {shape} for one image. {EXPORT}")
@@ -102,7 +104,9 @@ class Backbone:
             UsageError: a feature is not finite.
         """
         keys = [
-            hashlib.blake2b(image.tobytes(), digest_size=16).digest() for image in images
+            # The content is the key: images of worlds that stand still are equal.
+            hashlib.blake2b(image.tobytes(), digest_size=16).digest()
+            for image in images
         ]
         new = {
             key: image
@@ -119,6 +123,7 @@ class Backbone:
                 raise fault(self._path, "its features of an image are not finite.")
             self._kept[key] = row[0]
         rows = np.stack([self._kept[key] for key in keys])
+        # After the rows are taken, because a batch may be larger than what is kept.
         while len(self._kept) > KEPT:
             self._kept.popitem(last=False)
         return rows
@@ -142,6 +147,7 @@ def _session(path: Path, content: bytes) -> Any:
     # The images share the threads, see `Backbone.features`.
     options.intra_op_num_threads = 1
     options.inter_op_num_threads = 1
+    # onnxruntime prints warnings and errors itself; its errors are raised as well.
     options.log_severity_level = 4
     try:
         return onnxruntime.InferenceSession(
@@ -188,6 +194,7 @@ def opened(path: str) -> Backbone:
     Raises:
         UsageError: see `Backbone`.
     """
+    # A file that was replaced has another time, and is opened again.
     return _opened(path, Path(path).stat().st_mtime_ns if is_file(Path(path)) else 0)
 
 

@@ -51,6 +51,7 @@ def encode(source: StepSource, spec: InputSpec) -> EncodedObs:
         for part in image_parts(spec.inputs)
         for channel in part.encode(source, spec)
     ]
+    # An array of size 0, so that nobody asks whether there are images.
     none = xp.astype(zeros((len(vector), 0, 0, 0), vector), xp.uint8)
     images = xp.stack(channels, axis=1) if channels else none
     return EncodedObs(xp.astype(vector, xp.float32, copy=False), images)
@@ -74,6 +75,7 @@ class ObservationEncoder:
         self._env = env
         self._pool = pool
         self._instruction = instruction
+        # Made at the first observation, which tells library and device.
         self._previous: Array = None
         self._conditioning: Array = None
         self._aims: Array = None
@@ -88,6 +90,7 @@ class ObservationEncoder:
             # Nothing has been encoded yet: every world begins.
             return
         xp = namespace(self._previous)
+        # Not in place: the caller's array of actions may be the same one.
         self._previous = xp.where(mask[:, None], 0.0, self._previous)
         self._fresh = self._fresh | mask
 
@@ -124,6 +127,7 @@ class ObservationEncoder:
         self._images = self._remember(
             self._images, pooled(seen.images, self._pool), again
         )
+        # Of the same library and device, which a new array would have to be told.
         self._fresh = self._fresh & False
         worlds, length, channels, *size = self._images.shape
         xp = namespace(seen.vector)
@@ -138,10 +142,12 @@ class ObservationEncoder:
         width = sum(
             width_of(part, self.spec) for part in conditioning_parts(self.spec.inputs)
         )
+        # Actions may have been executed before the first observation was encoded.
         if self._previous is None:
             self._previous = zeros((worlds, len(self.spec.actions)), like)
         self._conditioning = zeros((worlds, width), like)
         self._aims = zeros((worlds, 1), like) > 0
+        # All worlds begin.
         self._fresh = ~self._aims[:, 0]
         self._subtasks = [None] * worlds
 
@@ -149,12 +155,14 @@ class ObservationEncoder:
         """Append ``now`` (W, ...) to a history (W, H, ...); fresh worlds get a history of ``now`` only."""
         now = now[:, None]
         length = self.spec.inputs.history
+        # No history is kept where nothing will read it.
         if length == 1 or not math.prod(now.shape):
             return now
         xp = namespace(now)
         whole = xp.broadcast_to(now, (now.shape[0], length, *now.shape[2:]))
         if history is None:
             return whole
+        # A step that is encoded again is the last entry already.
         moved = history if again else xp.concat([history[:, 1:], now], axis=1)
         mask = xp.reshape(self._fresh, (now.shape[0],) + (1,) * (now.ndim - 1))
         return xp.where(mask, whole, moved)
@@ -162,6 +170,7 @@ class ObservationEncoder:
     def _tell(self, info: Mapping[str, Any]) -> None:
         """Code the active subtask of the worlds in which it is another one than in the last step."""
         inputs = self.spec.inputs
+        # Nothing reads codes, so that the worlds' episodes need not be looked at.
         if not (conditioning_parts(inputs) or inputs.target_in_hand):
             return
         episodes = info.get("episode_spec")
@@ -176,6 +185,7 @@ class ObservationEncoder:
                 self._conditioning[world] = 0.0
             else:
                 last = len(episode["plan"]) - 1
+                # A finished plan points past its end, and goes on being told its last subtask.
                 pointer = min(int(info["pointer"][world]), last)
                 self._tell_world(world, episode, pointer, info)
 

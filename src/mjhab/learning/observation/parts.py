@@ -137,6 +137,7 @@ class ConditioningPart(VectorPart):
         """The part for a subtask, (width,) float32."""
 
     def encode(self, source: StepSource, spec: InputSpec) -> Array:
+        # The codes of all parts come joined, because a subtask is coded once for all of them.
         start = 0
         for part in conditioning_parts(spec.inputs):
             if part is self:
@@ -231,6 +232,7 @@ class TargetInHand(VectorPart):
         target = xp.where(
             source.aims_at_goal(),
             state[:, _section(spec, GOAL_KEY)],
+            # The pose of the object holds a quaternion behind its position.
             state[:, _section(spec, OBJECT_KEY)][:, :3],
         )
         to_target = quat_rotate_inv(tcp[:, 3:], target - tcp[:, :3])
@@ -259,6 +261,7 @@ class FrozenFeatures(VectorPart):
         for camera in inputs.cameras:
             images = source.image(camera, RGB)
             xp = namespace(images)
+            # Larger cameras serve several policies; each sees what it was trained with.
             factor = images.shape[1] // inputs.image_size
             if factor > 1:
                 channels = pooled(xp.moveaxis(images, -1, 1), factor)
@@ -497,5 +500,6 @@ def base_velocity(q: Array, qd: Array) -> Array:
     """
     yaw = q[:, BASE_YAW]
     xp = namespace(q)
+    # The base drives by two joints along the world's axes, and its policy by its own.
     forward = xp.cos(yaw) * qd[:, BASE_X] + xp.sin(yaw) * qd[:, BASE_Y]
     return xp.astype(xp.stack([forward, qd[:, BASE_YAW]], axis=1), xp.float32)

@@ -79,6 +79,7 @@ class RecordedSource:
 
     def previous_action(self) -> np.ndarray:
         executed = self._episode.array("actions")
+        # The executed action, not the intended one: it is what moved the robot, and what an acting policy is told.
         before = np.concatenate([np.zeros_like(executed[:1]), executed[:-1]])
         return before[: self._steps]
 
@@ -97,6 +98,7 @@ class RecordedSource:
             )
             for entry, sentence in zip(self._episode.record.plan, sentences, strict=True)
         ]
+        # Coded once per subtask and looked up for every step.
         return np.stack(codes)[active_entries(self._episode)[: self._steps]]
 
     def aims_at_goal(self) -> np.ndarray:
@@ -113,6 +115,7 @@ class RecordedSource:
             raise _no_images(
                 episode, self._spec, f"has no {output} images of {camera}", None
             )
+        # Read at once: a read per frame would open the dataset some hundred times.
         files = episode.array(f"images/{camera}/{output}/bytes").tobytes()
         ends = episode.array(f"images/{camera}/{output}/ends").tolist()
         starts = [0, *ends]
@@ -135,6 +138,7 @@ def check_inputs(episode: RecordedEpisode, spec: InputSpec) -> None:
     Raises:
         UsageError: as `encode_episode`.
     """
+    # One step tells as much as all of them.
     source = RecordedSource(episode, spec, 1)
     for output in image_outputs(spec.inputs):
         for camera in spec.inputs.cameras:

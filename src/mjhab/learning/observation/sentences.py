@@ -25,7 +25,9 @@ def encode_sentence(sentence: str) -> np.ndarray:
     """
     code = np.zeros(SENTENCE_WIDTH, np.float32)
     for word in set(re.findall(r"\w+", sentence.lower())):
+        # Two buckets of a word may be the same, which += would count once.
         np.add.at(code, _buckets(word), 1.0)
+    # The cache hands out the same array again.
     code.setflags(write=False)
     return code
 

@@ -135,6 +135,7 @@ class ObservationSpec:
             cls, {**values, "inputs": asdict(inputs)}, "layout"
         )
         widths = [width for _, width in layout.state]
+        # A file from elsewhere could ask for a first layer of any size.
         if min(widths, default=1) < 1 or sum(widths) > MAX_STATE_WIDTH:
             raise ValueError(
                 f"layout.state: widths {shown(widths)} are none of a state vector."
@@ -178,6 +179,7 @@ class ObservationSpec:
         shapes = {entry.key: tuple(entry.shape) for entry in env.observer.table}
         for key in seen_keys(self.inputs):
             width = shapes[key][1] if key in shapes else 0
+            # Pixels are averaged in whole blocks.
             if width and width % self.inputs.image_size == 0:
                 return width // self.inputs.image_size
         return 1
@@ -192,6 +194,7 @@ class ObservationSpec:
         }
         if self.robot:
             options["robot"] = self.robot
+        # What the profile says already would be refused by one that is binding.
         if tuple(self.control[2:]) != profile_named(self.profile).stationary:
             options["stationary"] = tuple(self.control[2:])
         return options | image_options(self.inputs)
@@ -207,6 +210,7 @@ def inputs_of_robot(inputs: InputConfig, robot: str) -> InputConfig:
     Raises:
         UsageError: there is no such robot.
     """
+    # Cameras that somebody chose stay.
     if not robot or inputs.cameras != InputConfig.cameras:
         return inputs
     return replace(inputs, cameras=robot_named(robot).camera_names)
@@ -253,6 +257,7 @@ def observation_spec_of(
 def state_of(env: PolicyWorlds) -> tuple[Entry, ...]:
     """Entries of an environment's state vector, in order."""
     entries: list[Entry] = []
+    # The table goes on with images and other observations behind the state.
     left = env.single_observation_space["state"].shape[0]
     for row in env.observer.table:
         if left <= 0:

@@ -41,6 +41,7 @@ def recorded_state(episode: RecordedEpisode, conventions: Conventions) -> np.nda
     have = episode.conventions
     if have == conventions:
         return state
+    # The episode may keep its array for the next reader.
     state = state.copy()
     if have.object_axes != conventions.object_axes:
         _turn_object(episode, state, conventions)
@@ -84,5 +85,6 @@ def _turn_joints(episode: RecordedEpisode, state: np.ndarray, want: Conventions)
             "their turns are not known. Record it with states (mjhab generate without --no-states), or with "
             "joint_angles='unwrapped'.",
         )
+    # Only the simulator's own positions count whole turns.
     q = episode.array("states/qpos")[:, episode.run.layout["columns"]["robot_q"]]
     state[:, columns] = q[:, robot.columns.upper]

@@ -35,6 +35,7 @@ PRIVILEGED_CHECKS = (
     "touch",
 )
 """Checks of the active subtask, keys of ``info``."""
+# Forces of contacts are some hundred newtons, which keeps the input of the order of 1.
 FORCE_SCALE_N = 1000.0
 """Unit of the force input [N]."""
 CUMULATIVE_FORCE_SCALE = 5000.0
@@ -88,6 +89,7 @@ class AgentEncoder:
         self._numpy = isinstance(env.state.robot_q, np.ndarray)
         self.env_device = torch.as_tensor(env.state.robot_q).device
         self.device = device or self.env_device
+        # One scale for all worlds, whatever their subtask.
         self._horizon = float(max(horizons(env.task_config)))
 
     def begin(self, fresh: Tensor) -> None:
@@ -116,6 +118,7 @@ class AgentEncoder:
     def _privileged_of(self, info: Mapping[str, Any]) -> Tensor:
         worlds = self._env.num_envs
         if not self._privileged:
+            # A tensor of width 0, so that all code behind it is the same with and without.
             return torch.zeros(worlds, 0, device=self.env_device)
         state = self._env.state
         parts = [state.robot_q, state.robot_qd, state.link_q, state.link_qd]

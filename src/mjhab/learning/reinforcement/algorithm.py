@@ -69,6 +69,7 @@ class AlgorithmRun(ABC):
         # After the evaluation, so that a resumed run knows the best success.
         if session.due(self.config.checkpoint_samples, before):
             self.save()
+        # Last, so that a run whose time is up has its checkpoint.
         session.check_time()
 
     def buffer(self, name: str, worlds: int, capacity: int) -> ReplayBuffer:
@@ -77,11 +78,13 @@ class AlgorithmRun(ABC):
         """
         seen = self.session.worlds.seen
         images = seen.images.shape[1:]
+        # A transition needs the entry behind it.
         steps = max(capacity // worlds, 2)
         # Between two checkpoints every step may end an episode, whose last observation takes an entry, too.
         apart = -(-self.config.checkpoint_samples // worlds)
         reserve = min(2 * apart + 1, steps // 4)
         if name == DEMONSTRATIONS:
+            # Demonstrations are never overwritten, so that no entries must be kept free.
             reserve = 0
         shape = ReplayShape(
             worlds=worlds,
@@ -93,6 +96,7 @@ class AlgorithmRun(ABC):
         )
         self.session.log.say(f"memory of the buffer {name}: {shape.words}")
         device = self.session.worlds.device
+        # In files, so that a resumed run has its experience; memory of a GPU cannot be mapped.
         folder = self.session.folder.path / name if device.type == "cpu" else None
         return ReplayBuffer(shape, device, folder, reserve)
 
@@ -131,9 +135,11 @@ class AlgorithmRun(ABC):
     def _ask_expert(self, episodes: int, style: tuple[str, ...]) -> ReplayBuffer:
         session = self.session
         subtask = SUBTASKS[session.spec.scene.subtask]
+        # Two more: the last observation of an episode, and the entry that the ring keeps apart.
         horizon = int(max(*horizons(session.env.task_config), subtask.limits.horizon)) + 2
 
         def make(worlds: int) -> ReplayBuffer:
+            # Large enough for the longest episodes, because what is overwritten would be lost silently.
             per_world = -(-episodes // worlds) * horizon
             return self.buffer(DEMONSTRATIONS, worlds, worlds * per_world)
 

@@ -267,6 +267,7 @@ class ReinforcementConfig:
                     "true without the privileged critic",
                     "Leave out --no-privileged-critic.",
                 )
+            # A smaller last minibatch would weigh its samples more.
             rows = self.worlds * self.ppo.rollout_steps
             if rows % self.ppo.minibatches:
                 raise wrong_value(
@@ -295,6 +296,7 @@ class ReinforcementConfig:
     def student(self) -> StudentConfig:
         """Config of the actor as a student policy, the form that a checkpoint stores and `mjhab eval` runs."""
         return StudentConfig(
+            # The mean of PPO's actor is what is executed in an evaluation, which is a student of behaviour cloning.
             algorithm=BC if self.ppo is not None else GAUSSIAN,
             preset=self.preset,
             inputs=self.inputs,

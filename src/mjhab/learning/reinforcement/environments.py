@@ -21,6 +21,7 @@ def training_env(
     from mjhab.envs import make_train
 
     options = scene.env_options() | image_options(inputs)
+    # A binding profile refuses other values of these.
     if more.get("horizon") or more.get("stillness"):
         options = unbound(options, scene.subtask, trains=True)
     options |= more

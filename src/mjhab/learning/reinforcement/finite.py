@@ -22,6 +22,7 @@ def check_finite(value: float, what: str, update: int) -> None:
         BrokenLossError: it is not finite. Earlier minibatches of the update may have changed the weights already, so
             a run keeps those of its last checkpoint.
     """
+    # One step with it would make all weights nan, and the next checkpoint with them.
     if not math.isfinite(value):
         raise BrokenLossError(
             f"{what} became {value} in update {update}. The student is that of the last checkpoint, "

@@ -13,6 +13,7 @@ def optimizer_tensors(optimizer: torch.optim.Optimizer) -> dict[str, Tensor]:
     found: dict[str, Tensor] = {}
     for number, state in optimizer.state_dict()["state"].items():
         for name, value in state.items():
+            # Step counts are numbers in some optimizers and tensors in others.
             found[f"{number}/{name}"] = torch.as_tensor(value)
     return found
 
@@ -30,6 +31,7 @@ def restore_optimizer(
     for key, value in tensors.items():
         number, _, name = key.partition("/")
         entry = int(number)
+        # `load_state_dict` takes any shape, and fails at the first step.
         if not 0 <= entry < len(parameters) or (
             value.ndim and value.shape != parameters[entry].shape
         ):

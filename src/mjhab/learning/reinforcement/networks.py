@@ -19,6 +19,7 @@ class Value(nn.Module):
         self, config: StudentConfig, layout: ObservationSpec, privileged: int
     ) -> None:
         super().__init__()
+        # Of its own: gradients of values would spoil the features that the actor acts by.
         self.encoder = Encoder(config, layout)
         self.privileged = Normalizer(privileged, MOST_SPREADS)
         network = config.network
@@ -84,11 +85,13 @@ class Critics(nn.Module):
         """Project a distribution onto the support: returns ``targets`` (B, atoms) with ``probabilities`` (B, atoms)."""
         low = self.support[0]
         width = self.support[1] - low
+        # Returns beyond the support count as its ends.
         places = ((targets - low) / width).clamp(0, self.atoms - 1)
         below = places.floor()
         share = places - below
         found = torch.zeros_like(probabilities)
         found.scatter_add_(1, below.long(), probabilities * (1.0 - share))
         above = (below + 1).clamp(max=self.atoms - 1).long()
+        # At the last atom the share is 0, so that the clamped place gets nothing.
         found.scatter_add_(1, above, probabilities * share)
         return found

@@ -21,6 +21,7 @@ from mjhab.core.errors import UsageError, fault
 from mjhab.envs.parts.memory import available_mb
 from mjhab.learning.reinforcement.agent_encoder import AgentObs
 
+# The rest is for batches, gradients and the simulator's own growth.
 MEMORY_SHARE = 0.8
 """Largest fraction of the free memory that a buffer may occupy."""
 
@@ -74,6 +75,7 @@ class ReplayShape:
             free = torch.cuda.mem_get_info(device)[0]
         else:
             megabytes = available_mb()
+            # Where the system does not tell, the buffer is tried.
             free = sys.maxsize if megabytes is None else int(megabytes * 1e6)
         self._check_room(free, "free")
         if folder is not None:
@@ -163,6 +165,7 @@ class ReplayBuffer:
         }
 
     def _allocate(self, name: str, kind: torch.dtype, size: tuple[int, ...]) -> Tensor:
+        # An empty array cannot be mapped.
         if self._folder is None or not np.prod(size):
             return torch.zeros(size, dtype=kind, device=self.device)
         self._folder.mkdir(parents=True, exist_ok=True)

@@ -23,6 +23,7 @@ class RunningStatistics:
 
     def add(self, rows: Tensor) -> None:
         """Include rows (N, width)."""
+        # The sum goes over all samples of a run: float32 would stop counting after some millions.
         values = rows.double()
         count = len(values)
         mean = values.mean(dim=0)
@@ -37,6 +38,7 @@ class RunningStatistics:
         """Write mean and standard deviation into the first ``measured`` columns of normalizers."""
         spread = (self.squares / self.count.clamp(min=1)).sqrt().clamp(min=LEAST_SPREAD)
         for normalizer in normalizers:
+            # In place: the columns behind them, codes of the subtask, keep mean 0 and scale 1.
             normalizer.mean[:measured] = self.mean[:measured].float()
             normalizer.scale[:measured] = spread[:measured].float()
 

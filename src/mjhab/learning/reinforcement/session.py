@@ -83,6 +83,7 @@ class ReinforcementSession(Session):
             self.config = dataclasses.replace(
                 spec.config, inputs=self.start.config.inputs
             )
+            # The student can act before its first update.
             self.state.trained = self.began_trained = True
         self.keep_best_by = self.config.keep_best_by
         self.judging = Resources(
@@ -189,6 +190,7 @@ class ReinforcementSession(Session):
 
     def finish(self) -> None:
         """Write the last checkpoint, and choose the best actor."""
+        # Of a run that was ended within its imitation the rest would never be made.
         if self._prepared:
             self.run.save()
         else:
@@ -215,7 +217,9 @@ class ReinforcementSession(Session):
 
     def _episodes_seed(self) -> int:
         """Seed of the episodes after the latest checkpoint; runs of other seeds have none in common."""
+        # By the number of checkpoints, so that a resumed run begins the same episodes.
         drawn = stream(self.seed, "episodes", self.state.checkpoints)
+        # Gymnasium's seeds are below this.
         return int(drawn.integers(1 << 31))
 
     # -- progress -----------------------------------------------------------------------------------------------------
@@ -265,6 +269,7 @@ class ReinforcementSession(Session):
 
     def due(self, every: int, before: int) -> bool:
         """Whether the number of samples has passed a multiple of ``every`` since it was ``before``."""
+        # A step takes as many samples as there are worlds, and may jump over the multiple.
         return self.state.samples // every > before // every
 
     def time_shares(self) -> dict[str, float]:
@@ -274,6 +279,7 @@ class ReinforcementSession(Session):
             "learner": self.learner_seconds,
             "evaluation": self.evaluation_seconds,
         }
+        # Clocks of parts may add up to a hair more than the whole.
         total = max(time.perf_counter() - self._began, ordered_sum(parts.values()))
         shares = {name: seconds / total for name, seconds in parts.items()}
         shares["other"] = 1.0 - ordered_sum(shares.values())

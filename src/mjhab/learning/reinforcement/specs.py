@@ -78,6 +78,7 @@ class ReinforcementSpec(TrainSpec):
                 f"left out with {config.algorithm}",
                 "Train rlpd with recorded demonstrations.",
             )
+        # Imitation alone is a training, too.
         begins = config.ppo is not None and config.ppo.demonstrations
         if config.samples < 1 and not begins:
             raise wrong_value("samples", config.samples, "at least 1")

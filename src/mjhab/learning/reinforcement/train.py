@@ -25,6 +25,7 @@ def open_reinforcement(spec: ReinforcementSpec) -> Iterator[ReinforcementSession
     distributed.join()
     config = resolved_config(spec)
     first = distributed.rank() == 0
+    # A folder per process: each has its own log and buffers.
     mine = spec.out if first else spec.out / f"rank_{distributed.rank()}"
     if not first:
         # The first process refuses a folder that is not empty, so it goes first.
@@ -34,6 +35,7 @@ def open_reinforcement(spec: ReinforcementSpec) -> Iterator[ReinforcementSession
     with TrainingFolder.open(mine, config, resume=spec.resume) as folder:
         if first:
             distributed.wait()
+        # The first process alone writes checkpoints, and all read them.
         session = ReinforcementSession(spec, folder, spec.out / TRAINING)
         is_ppo = spec.config.ppo is not None
         session.run = PpoRun(session) if is_ppo else SacRun(session)

@@ -128,6 +128,7 @@ class Worlds:
         self._succeeded = self._none
         longest = self.rules.longest_first
         if longest:
+            # Worlds that began together would end together, and all rollouts show the same part of an episode.
             drawn = stream(seed, "stagger").integers(1, longest + 1, self.count)
             self._left = torch.from_numpy(drawn).to(self._none.device)
         self.encoder.begin(every)
@@ -142,6 +143,7 @@ class Worlds:
         return transition
 
     def _step(self, actions: Tensor) -> Transition:
+        # The policy is told what was executed, which the environment would clip as well.
         taken = actions.clamp(-1.0, 1.0).to(self._none.device)
         given = taken.numpy() if self._numpy else taken
         obs, reward, terminated, truncated, info = self.env.step(given)
@@ -151,16 +153,20 @@ class Worlds:
         )
         ended = terminated | torch.as_tensor(truncated)
         if rules.longest_first:
+            # It falls below 0 later, and equals 0 only once: this ends the first episode of a world alone.
             self._left -= 1
             ended = ended | (self._left == 0)
         self._count(info)
         succeeded = self._succeeded | torch.as_tensor(info["success"])
         self.encoder.executed(taken)
+        # Before the reset: this is the last observation of the episodes that ended.
         following = self.encoder.see(obs, info)
         self.seen = following
         if bool(ended.any()):
+            # All finished worlds at once: a reset costs the same for one and for many on a device.
             obs, info = self.env.reset(options={"reset_mask": self._mask(ended)})
             self.encoder.begin(ended)
+            # The other worlds are seen twice in this step, and their histories must not move twice.
             self.seen = self.encoder.see(obs, info, again=True)
         self._succeeded = succeeded & ~ended
         return Transition(

@@ -57,6 +57,7 @@ class EpisodeClock:
         """
         if self._first is None:
             self._first = tried
+        # Times of the first wave would include reading meshes and compiling.
         if self._mark is None:
             if tried - self._first >= self._at_once:
                 self._mark = (tried, now)
@@ -132,6 +133,7 @@ class FirstUpdate:
         if not budget or spent + work + reserved <= budget:
             return
         needed = spent + work + judging
+        # One more for the updates, of which nothing is known yet.
         least = math.ceil(needed / SECONDS_PER_MINUTE) + 1
         raise BudgetTooSmallError(
             f"a budget of {_minutes(budget)} ends before the first update: {self.work} take {_minutes(work)} here "
@@ -153,6 +155,7 @@ class Rates:
     """
 
     def __init__(self, work: Mapping[str, Any]) -> None:
+        # All that a rate depends on; a new version may be faster.
         parts = [dict(work), processor(), cores(), __version__]
         text = json.dumps(parts, sort_keys=True, default=str)
         self._key = hashlib.sha256(text.encode()).hexdigest()[:16]
@@ -166,7 +169,9 @@ class Rates:
     def learn(self, seconds: float) -> None:
         """Keep a measured time of a piece [s]."""
         kept = self._read()
+        # Taken out and put back, so that it becomes the newest.
         known = kept.pop(self._key, math.inf)
+        # A slower one may have been measured while the machine was busy.
         kept[self._key] = min(seconds, known)
         newest = dict(list(kept.items())[-_MOST_RATES:])
         text = json.dumps(newest, indent=1) + "\n"
@@ -177,6 +182,7 @@ class Rates:
     def _read(self) -> dict[str, Any]:
         try:
             return dict(read_json_object(_file()))
+        # A damaged cache is an empty one.
         except UsageError:
             return {}
 

@@ -53,6 +53,7 @@ class Round:
     @property
     def keep(self) -> str:
         """Filter on its episodes: of a student that is relabelled all, else the successful ones."""
+        # A teacher names what is right in a state, also where the student's episode fails afterwards.
         return "" if self.teacher and self.student is not None else SUCCESSES
 
 
@@ -137,7 +138,9 @@ class Collector:
             MjhabError: a worker failed, or the disk is full.
         """
         alone = self._resources.workers == 1 and not self._ray
+        # A worker in another process has to make its environment itself.
         build = self._keeper.stage if alone else build_stage
+        # PNG: the student must see in training what it will see when it acts.
         images = ImageFormat() if self._view.get("cameras") else None
         spec = WorkerSpec(
             functools.partial(build, self._scene, self._view, self._resources, wanted),
@@ -148,6 +151,7 @@ class Collector:
         )
         collected = {
             **asdict(wanted),
+            # The name alone, so that a run can be moved and resumed.
             "student": wanted.student.name if wanted.student else "",
         }
         if not wanted.teacher:
@@ -163,6 +167,7 @@ class Collector:
             self._resources.worlds,
         )
         pool = make_pool(0 if alone else self._resources.workers, self._ray)
+        # Always resumed: a round may have been interrupted.
         standing = generate(job, pool, tell, stopped, resume=True)
         if standing.complete and not standing.kept:
             raise UsageError(
@@ -191,6 +196,7 @@ class Collector:
 
 def round_seed(seed: int, number: int) -> int:
     """Seed of the episodes of a round; every round has different episodes."""
+    # Below a thousand rounds, so that seeds of runs do not overlap.
     return 1000 * seed + number
 
 
@@ -200,6 +206,7 @@ def build_stage(
     """Make the environment and policy of a worker; called in the worker's process."""
     import torch
 
+    # Torch's default takes all cores in each of the workers.
     torch.set_num_threads(max(1, resources.threads))
     env = make_env(scene, view, resources, collected)
     return stage_in(env, collected)
@@ -249,6 +256,7 @@ class StageKeeper:
         """Make the stage of a round."""
         made_of = (
             scene,
+            # A tuple to compare, whose order does not depend on how the dict was made.
             tuple(sorted(view.items())),
             resources,
             collected.horizon,

@@ -61,6 +61,7 @@ class DaggerSession(ImitationSession):
         self.restore_rounds()
         while self.state.round <= config.rounds:
             number = self.state.round
+            # A resumed run has the round's demonstrations already.
             if len(self.sources) <= number:
                 self.collect_round(number)
             updates = config.updates if number else self.config.updates
@@ -69,8 +70,10 @@ class DaggerSession(ImitationSession):
                 self.evaluate(self.spec.round_episodes)
             if number == config.rounds and not config.final_updates:
                 return
+            # Before the round is counted: a resumed run needs the student that begins it.
             self.save_policy(self.folder.round_student(number + 1))
             self.next_round()
+        # The share that the newest data have by size: at the end all rounds count alike.
         self.train(config.final_updates, self.newest_share, cool_down=True)
 
     def restore_rounds(self) -> None:

@@ -38,6 +38,7 @@ def average(tensors: Iterable[Tensor]) -> None:
     if count == 1:
         return
     listed = list(tensors)
+    # One message for all: each call waits for the slowest process.
     flat = torch.cat([tensor.detach().reshape(-1) for tensor in listed])
     dist.all_reduce(flat)
     flat /= count
@@ -57,6 +58,7 @@ def mean_and_spread(values: Tensor) -> tuple[Tensor, Tensor]:
     moments = torch.stack([values.mean(), (values**2).mean()])
     average([moments])
     mean = moments[0]
+    # Rounding may leave a little less than 0 of equal values.
     return mean, (moments[1] - mean**2).clamp(min=0.0).sqrt()
 
 

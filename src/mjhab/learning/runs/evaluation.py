@@ -58,6 +58,7 @@ class EvaluationClock:
         return (
             needed
             if self._is_measured
+            # A wrong guess must not end a run before its first update.
             else min(needed, MOST_GUESSED_SHARE * self._budget)
         )
 
@@ -163,6 +164,7 @@ class Evaluations:
             films=films,
             film_size=SMALL_FILM,
             out=out,
+            # An evaluation that was interrupted has left its folder.
             overwrite=True,
         )
         return run_evaluation(spec, [_Counter(self.tell)])

@@ -33,6 +33,7 @@ from mjhab.learning.students.student import Batch, Student
 
 REPORT_EVERY = 50
 """Number of updates between two reports of the loss."""
+# A kill costs at most a minute, and writing some MB far less.
 CHECKPOINT_SECONDS = 60.0
 """Time between checkpoints [s]."""
 LOAD_SHARE = "loading_share"
@@ -71,6 +72,7 @@ class ImitationSession(Session):
                 self.trainer.restore(dict(self.saved.tensors), self.state.updates)
         elif start is not None:
             student.load_state_dict(start.state_dict())
+            # The average would otherwise begin from the random weights that were made before.
             self.trainer.restart_average()
             self.state.fitted = self.began_trained = True
         self.settle(layout)
@@ -110,6 +112,7 @@ class ImitationSession(Session):
         """Write both checkpoints: neither an interrupt nor a broken loss changes weights."""
         # Before the data are read there is nothing to keep.
         if self.state.fitted:
+            # Before the evaluation, so that an interrupt in it costs no updates.
             self.save()
 
     def evaluate(self, episodes: int, last: bool = False) -> None:
@@ -149,6 +152,7 @@ class ImitationSession(Session):
             self.spec.per_target,
         )
         self.sources.append(data if self.device.type == CPU else data.on(self.device))
+        # Once: later rounds must not change what the weights have learned to read.
         if not self.state.fitted:
             self.trainer.student.fit_normalizers(data)
             self.trainer.restart_average()
@@ -196,6 +200,7 @@ class ImitationSession(Session):
 
             pace = EpisodeClock(self.spec.resources.at_once)
 
+            # Bound as defaults, since a closure would see the values of the last scene.
             def tell(
                 now: Standing, phase: str = phase, pace: EpisodeClock = pace
             ) -> None:
@@ -290,6 +295,7 @@ class ImitationSession(Session):
             batch = self._batch(sampler)
             loading += time.perf_counter() - before
             rate = 1.0 - self.state.round_step / updates if cool_down else 1.0
+            # Weights and counters change together, or a checkpoint after Ctrl-C would not fit.
             with held_interrupts():
                 losses.append(self.trainer.update(batch, rate).loss)
                 self.state.updates = self.trainer.step

@@ -83,11 +83,13 @@ class Intervention:
 
     def reset(self, mask: np.ndarray) -> None:
         """Begin new episodes in the worlds of ``mask`` (W,)."""
+        # The number of worlds is first known here.
         if len(self._prefix) != len(mask):
             self._prefix = np.zeros(len(mask), np.int64)
             self._step = np.zeros(len(mask), np.int64)
             self._fresh = np.zeros(len(mask), bool)
         self._step[mask] = 0
+        # Lengths are drawn when the episodes are known, which is in the next step.
         self._fresh |= mask
         if self._student is not None:
             self._student.reset(mask)
@@ -97,6 +99,7 @@ class Intervention:
         self._draw(info)
         taken = self._step >= self._prefix
         beginning = self._step == self._prefix
+        # The expert plans from where the student has led, and not before.
         if beginning.any():
             self._expert.reset(beginning)
         actions = np.zeros((len(taken), self._width), np.float32)
@@ -104,6 +107,7 @@ class Intervention:
             actions[~taken] = self._student.act(obs, info)[~taken]
         self._intended = actions.copy()
         if taken.any():
+            # Planning is the slow part, so that only worlds it acts in are asked.
             actions[taken] = self._expert.act_in(obs, info, taken)[taken]
             self._intended[taken] = self._expert.notes().intended[taken]
         self._step += 1
@@ -157,6 +161,7 @@ class Relabelling:
             return self._wanted.copy()
         actions = self._student.act(obs, info)
         if isinstance(self._teacher, Correctable):
+            # Another action than its own was executed: what remains of its chunk is of another state.
             self._teacher.replace_action(actions, replan=True)
         return actions
 
@@ -171,4 +176,5 @@ class Relabelling:
 
 def prefix_length(seed: int, index: int, longest: int) -> int:
     """Control steps for which the student acts in an episode, from 0 to ``longest``."""
+    # By the identity of the episode, so that workers and worlds do not matter.
     return int(stream(seed, "take_over", index).integers(0, longest + 1))

@@ -124,5 +124,6 @@ def _films(folder: TrainingFolder) -> dict[str, str]:
     for path in sorted(evaluations.rglob(f"{FILMS}/episode_*.mp4")):
         where = path.relative_to(evaluations).with_suffix("").parts
         caption = ", ".join(part for part in where if part != FILMS)
+        # In the page itself, so that one file can be sent around.
         found[caption] = base64_text(path.read_bytes())
     return found

@@ -40,6 +40,7 @@ def layout_for(spec: ImitationSpec) -> ObservationSpec:
                 f"the demonstrations are of profile {layout.profile}, not {scene.profile}. Leave out --profile, or "
                 f"generate new data: mjhab generate --profile {scene.profile}"
             )
+        # A student that is not told its target can be evaluated in any.
         if inputs.condition and (spec.round_episodes or spec.eval_episodes):
             _check_judged(spec)
         return layout
@@ -55,6 +56,7 @@ def layout_for(spec: ImitationSpec) -> ObservationSpec:
             raise UsageError(
                 f"one student cannot learn {scene.name} and {one.name}: {'; '.join(wrong)}."
             )
+    # In the order of the scenes: the place of a target in the one-hot is part of the weights' meaning.
     known = dict.fromkeys(target for layout in layouts for target in layout.targets)
     return replace(first, targets=tuple(known))
 
@@ -123,6 +125,7 @@ def resolved_config(spec: ImitationSpec) -> dict[str, Any]:
     also = [scene.record() for scene in spec.scenes[1:]]
     return {
         **config_of(spec, spec.config),
+        # Left out where empty, so that runs begun before these options can be resumed.
         **({"also": also} if also else {}),
         **({"per_target": spec.per_target} if spec.per_target else {}),
         **({"start": str(spec.start)} if spec.start else {}),

@@ -114,12 +114,15 @@ class Logbook:
     ) -> None:
         from torch.utils.tensorboard.writer import SummaryWriter
 
+        # Lines after the checkpoint are of updates that will be made again.
         self.rows = read_metrics(folder.path, step)
         lines = "".join(json.dumps(row) + "\n" for row in self.rows)
         write_text(folder.path / METRICS, lines)
         self._file = (folder.path / METRICS).open("a", encoding="utf-8")
         self._board = SummaryWriter(
-            str(folder.path / TENSORBOARD), purge_step=step or None
+            # TensorBoard would draw both the old and the new points of repeated steps.
+            str(folder.path / TENSORBOARD),
+            purge_step=step or None,
         )
         self._began = time.perf_counter() - earlier_seconds
         earlier_cpu_seconds = max((row["cpu_seconds"] for row in self.rows), default=0.0)
@@ -128,7 +131,9 @@ class Logbook:
         self._shown: dict[str, str] = {}
         self._title = f"mjhab train, {folder.path}"
         self._live = Live(
-            console=Console(stderr=True), auto_refresh=False, transient=False
+            console=Console(stderr=True),
+            auto_refresh=False,
+            transient=False,
         )
         self._drawn = 0.0
 
@@ -148,6 +153,7 @@ class Logbook:
         row |= {"cpu_seconds": round(self.cpu_seconds, 2), **numbers}
         self.rows.append(row)
         self._file.write(json.dumps(row) + "\n")
+        # A kill must not cost the curve.
         self._file.flush()
         shown = {"updates": f"{step:,}", "samples": f"{samples:,}"}
         # The final evaluation has curves of its own: its episodes are others.
@@ -200,4 +206,5 @@ class Logbook:
 
 def _cpu_seconds() -> float:
     """CPU time of this process and of its children that have ended [s]."""
+    # The fifth is wall time.
     return ordered_sum(os.times()[:4])

@@ -203,11 +203,14 @@ class Session(ABC):
         state = self.state
         state.seconds = self.log.seconds
         state.checkpoints += 1
+        # All processes have the same weights; one of them writes.
         if distributed.rank():
             return
         if state.trained:
             state.student_samples = state.samples
+        # "step" for readers of older versions.
         about = {**vars(state), "step": state.updates, **self._named()}
+        # Before the policy: a kill between leaves the older policy, which is still one of this run.
         save_tensors(self.folder.training, network, tensors, about)
         if state.trained:
             self.save_policy()
@@ -262,9 +265,11 @@ class Session(ABC):
         if last:
             self._judge(episodes, last)
             return
+        # The evaluation reads the file, as `mjhab eval` would.
         self.save_policy()
         success = self._judge(episodes, last)
         state.evaluated.append(state.updates)
+        # ``>=``: of equal ones the latest has seen more.
         if self.keep_best_by and success >= state.best_success:
             state.best_success = success
             state.best_samples = state.samples
@@ -286,6 +291,7 @@ class Session(ABC):
         }
         self.evaluated = EvalResult(split, self.state.student_samples, found)
         spent = time.perf_counter() - began
+        # Of all scenes together, as the budget must cover them all.
         self.time.evaluations.measured(spent / episodes)
         self.evaluation_seconds += spent
         rates = self.evaluated.summary()
@@ -314,6 +320,7 @@ class Session(ABC):
 
     def place(self, folder: Path, name: str) -> Path:
         """Where a folder of the run keeps what belongs to a scene of ``names``: below it, if there are several."""
+        # A single scene keeps the folders that runs always had.
         return folder / name.replace("/", ".") if len(self.names) > 1 else folder
 
     # -- results -----------------------------------------------------------------------------------------------------

@@ -197,6 +197,7 @@ class TrainSpec(EnvSpec):
         super().__post_init__()
         if self.eval_split is not None and self.eval_split not in SPLITS:
             raise unknown_name("split", self.eval_split, SPLITS)
+        # Checks the options of the environment here, and not when the run has made its folder.
         _ = self.asked
 
     @classmethod
@@ -306,6 +307,7 @@ class ImitationSpec(TrainSpec):
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        # The class is frozen; the words in their full form are what is recorded and compared.
         object.__setattr__(self, "style", tuple(Styles.parse(self.style).words))
         check_data(self.data, self.where)
         if self.data and self.demos is not None:
@@ -321,6 +323,7 @@ class ImitationSpec(TrainSpec):
                 "left out without data",
                 "It chooses among recorded demonstrations: give data, or demos.",
             )
+        # Wrong presets and scenes are told before anything is written.
         _ = self.config, self.scenes
 
     @cached_property
@@ -406,6 +409,7 @@ def _also(like: Scene, text: str) -> Scene:
         )
     TASKS.check(task)
     SUBTASKS.check(subtask)
+    # A file of starts is of one subtask.
     return dataclasses.replace(like, task=task, subtask=subtask, target=target, spawns="")
 
 

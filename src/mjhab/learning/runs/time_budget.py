@@ -51,6 +51,7 @@ class TimeBudget:
 
     def is_spent(self) -> bool:
         """Whether the rest of the budget is needed for the evaluations to come."""
+        # Clocks differ: a process that stopped alone would leave the others waiting.
         return bool(self._seconds) and distributed.decided_by_first(
             self.seconds_left < 0.0
         )
@@ -91,6 +92,7 @@ class TimeBudget:
             BudgetTooSmallError: it tells what is needed.
         """
         if self._expected is not None:
+            # One file for all processes of the machine.
             if not distributed.rank():
                 self._expected.rates.learn(seconds)
             self.check(seconds)
@@ -117,6 +119,7 @@ class TimeBudget:
                     self.evaluations.needed(episodes),
                     self.evaluations.reserve(episodes),
                 )
+            # Raised below, when all processes have agreed.
             except BudgetTooSmallError as error:
                 short = str(error)
         if distributed.decided_by_first(bool(short)):

@@ -25,7 +25,9 @@ def open_session(spec: ImitationSpec) -> Iterator[ImitationSession]:
         UsageError: data, folder or scene do not fit; then nothing was written.
     """
     config = resolved_config(spec)
+    # First, since the layout takes seconds and a folder that is taken is told at once.
     TrainingFolder.check(spec.out, config, resume=spec.resume)
+    # Before the folder is made: a wrong camera or data set leaves nothing behind.
     layout = layout_for(spec)
     check_student(spec.config.student, layout)
     start = start_of(spec, layout)
@@ -57,6 +59,7 @@ def run_session(session: Session) -> TrainingResult:
         # Random weights are not judged.
         if session.spec.eval_episodes and session.state.trained:
             session.evaluate(session.spec.eval_episodes, last=True)
+    # The weights from before the broken update are kept; it must not become a result.
     except BrokenLossError:
         session.stop(broken=True)
         raise
@@ -67,5 +70,6 @@ def run_session(session: Session) -> TrainingResult:
         if not session.state.trained and not distributed.rank():
             # An evaluation of random weights has left them: they are no policy.
             session.folder.student.unlink(missing_ok=True)
+        # Also after an error, so that the folder says how far the run came.
         summary, report = session.write_results()
     return TrainingResult(summary, report, interrupted)

@@ -71,6 +71,7 @@ class Trainer:
         self.student.train()
         loss = self.student.loss(batch, random)
         value = float(loss.detach())
+        # Before the gradient is taken: nan would reach all weights.
         if not math.isfinite(value):
             raise self._broken(f"the loss became {value}")
         self.optimizer.zero_grad(set_to_none=True)
@@ -80,6 +81,7 @@ class Trainer:
         )
         if not math.isfinite(float(norm)):
             raise self._broken(f"the gradient became {float(norm)}")
+        # Torch's schedulers keep a state of their own; this is a function of the step.
         for group in self.optimizer.param_groups:
             group["lr"] = config.learning_rate * self._rate() * rate
         self.optimizer.step()
@@ -110,6 +112,7 @@ class Trainer:
     def _follow(self) -> None:
         """Update the moving average; its decay starts low and rises to ``config.ema``."""
         decay = (
+            # A slow average would hold the random weights of the beginning for long.
             min(self.config.ema, (1 + self.step) / (10 + self.step))
             if self.config.ema
             else 0.0
@@ -129,6 +132,7 @@ class Trainer:
             found[f"{AVERAGE}/{name}"] = value
         for name, parameter in self.student.named_parameters():
             state = self.optimizer.state.get(parameter)
+            # Before the first update there is none.
             if state:
                 found[f"{FIRST_MOMENT}/{name}"] = state["exp_avg"]
                 found[f"{SECOND_MOMENT}/{name}"] = state["exp_avg_sq"]
@@ -152,6 +156,7 @@ class Trainer:
                     )
                 self.optimizer.state[parameter] = {
                     "step": torch.tensor(float(step)),
+                    # Copied, because the optimizer changes it in place and the file's tensors stay.
                     "exp_avg": first[name].to(parameter.device, copy=True),
                     "exp_avg_sq": second[name].to(parameter.device, copy=True),
                 }

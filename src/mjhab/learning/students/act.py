@@ -35,11 +35,15 @@ class ActionTransformer(Student):
         self.vector_token = nn.Linear(self.encoder.vector_width, width)
         self.latent_token = nn.Linear(LATENT_WIDTH, width)
         self.action_token = nn.Linear(len(layout.actions), width)
+        # The usual scale of learned positions in transformers: small beside the tokens.
         self.chunk_places = nn.Parameter(0.02 * torch.randn(config.chunk, width))
         self.queries = nn.Parameter(0.02 * torch.randn(config.chunk, width))
         self.style_query = nn.Parameter(0.02 * torch.randn(1, width))
         self.style_encoder = nn.TransformerEncoder(
-            _encoder_layer(width), layers, enable_nested_tensor=False
+            # Torch warns that nested tensors do not go with norm_first.
+            _encoder_layer(width),
+            layers,
+            enable_nested_tensor=False,
         )
         self.style_head = nn.Linear(width, 2 * LATENT_WIDTH)
         self.context = nn.TransformerEncoder(
@@ -74,6 +78,7 @@ class ActionTransformer(Student):
         head = self.style_query.expand(len(vector), -1, -1)
         tokens = torch.cat([head, self.vector_token(vector)[:, None], actions], dim=1)
         seen = torch.ones(len(vector), 2, dtype=torch.bool, device=valid.device)
+        # Actions past the end of an episode are repeated ones, which say nothing of the style.
         hidden = ~torch.cat([seen, valid], dim=1)
         encoded = self.style_encoder(tokens, src_key_padding_mask=hidden)[:, 0]
         mean, log_variance = self.style_head(encoded).chunk(2, dim=1)
@@ -92,6 +97,7 @@ class ActionTransformer(Student):
 
     def chunk(self, vector: Tensor, images: Tensor, noise: Tensor) -> Tensor:
         features, normalized = self.encoder(vector, images)
+        # The mean of the prior, as in the original.
         latent = torch.zeros(len(vector), LATENT_WIDTH, device=vector.device)
         return self.action_normalizer.restore(self.predict(features, normalized, latent))
 

@@ -28,6 +28,7 @@ def compacted(tensors: Mapping[str, Tensor]) -> dict[str, Tensor]:
             found[name] = tensor.half()
         else:
             rows = tensor.detach().flatten(1)
+            # A row of zeros would divide by 0. One scale per row: outputs of a layer differ in size.
             scale = (rows.abs().amax(dim=1) / LARGEST).clamp_min(LEAST_SCALE)
             found[name] = (
                 (rows / scale[:, None]).round().to(torch.int8).view(tensor.shape)

@@ -45,7 +45,10 @@ class DiffusionPolicy(Student):
         seen = inputs.history * (config.network.image_features + layout.width)
         self.unet = UNet(len(layout.actions), seen, config.network.unet)
         self.register_buffer(
-            "kept", squared_cosine(config.sampling_steps), persistent=False
+            # Computed again from the config, so that checkpoints do not hold it.
+            "kept",
+            squared_cosine(config.sampling_steps),
+            persistent=False,
         )
 
     @property
@@ -89,10 +92,12 @@ class DiffusionPolicy(Student):
             kept = self.kept[step]
             before = self.kept[step - 1] if step else torch.ones_like(kept)
             clean = (point - (1.0 - kept).sqrt() * predicted) / kept.sqrt()
+            # Where hardly any signal is left, the division blows errors up beyond all actions.
             clean = clean.clamp(least, most)
             fade = kept / before
             mean = before.sqrt() * (1.0 - fade) / (1.0 - kept) * clean
             mean = mean + fade.sqrt() * (1.0 - before) / (1.0 - kept) * point
+            # The last step adds no noise: the result would keep it.
             if step:
                 variance = (1.0 - before) / (1.0 - kept) * (1.0 - fade)
                 mean = mean + variance.sqrt() * noise[:, step]

@@ -33,7 +33,9 @@ class FlowMatching(Student):
             nn.Linear(width, numbers),
         )
         self.register_buffer(
-            "frequencies", torch.pi * 2.0 ** torch.arange(TIME_FREQUENCIES) / 8.0
+            # From a sixteenth of a turn, in which no two times look alike, to eight turns for fine steps.
+            "frequencies",
+            torch.pi * 2.0 ** torch.arange(TIME_FREQUENCIES) / 8.0,
         )
 
     @property
@@ -66,5 +68,6 @@ class FlowMatching(Student):
         point = noise[:, 0]
         for step in range(steps):
             time = torch.full((len(noise),), step / steps, device=noise.device)
+            # The trunk ran once: only the small network runs in every step.
             point = point + self.flow(seen, point, time) / steps
         return self.action_normalizer.restore(point)

@@ -93,6 +93,7 @@ class ActionGaussian(SquashedGaussian):
     def _raw_mean(self, hidden: Tensor) -> Tensor:
         actions = self.mean(hidden)
         clipped = actions.clamp(-LARGEST_ACTION, LARGEST_ACTION)
+        # The gradient passes as if nothing were clipped, so that an action can come back from the limit.
         return torch.atanh(actions + (clipped - actions).detach())
 
 
@@ -126,6 +127,7 @@ def gaussian_of(student: BehaviourCloning) -> ActionGaussian:
         # The first rows of the head are the first action of the chunk, normalized.
         made.mean.weight.copy_(student.head.weight[:count] * normalizer.scale[:, None])
         made.mean.bias.copy_(normalizer.restore(student.head.bias[:count]))
+        # The same spread everywhere, whatever the student's features are.
         made.log_std.weight.zero_()
         made.log_std.bias.fill_(math.atanh(share))
     return made

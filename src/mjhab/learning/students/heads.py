@@ -47,6 +47,7 @@ def make_student(
     """
     if not layout.width:
         raise UsageError("a student needs at least one input: its layout has no entries.")
+    # The caller's generator is left as it was.
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
         return HEADS_BY_ALGORITHM[config.algorithm](config, layout)
@@ -66,6 +67,7 @@ def check_student(config: StudentConfig, layout: ObservationSpec) -> None:
             "left out: no training fits a gate",
             "`mjhab policy join` makes such students of trained ones; polish one with mjhab train ppo --start.",
         )
+    # As a checkpoint would be read: what could not be loaded again is not trained.
     student_from_plain(to_plain(config))
     inputs = config.inputs
     channels = inputs.history * sum(layout.image_channels)
@@ -75,6 +77,7 @@ def check_student(config: StudentConfig, layout: ObservationSpec) -> None:
     try:
         with torch.device("meta"):
             student = make_student(config, layout)
+            # Run once: convolutions that shrink an image to nothing are told by no shape of weights.
             student.chunk(
                 torch.zeros(1, inputs.history * layout.width),
                 torch.zeros(1, channels, side, side, dtype=torch.uint8),

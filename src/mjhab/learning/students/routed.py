@@ -57,6 +57,7 @@ class RoutedTrunk(nn.Module):
         self._channels: list[list[int]] = []
         for views in config.network.experts:
             whole, target = VIEWS[views]
+            # An expert is told the number of the route where it was told a subtask.
             told = replace(
                 inputs,
                 sentence=False,
@@ -136,6 +137,7 @@ class _ExpertLayers(nn.Module):
         features = _by_expert(
             chosen, experts[0].width, lambda number: experts[number].layers(seen)
         )
+        # A constant 1 of the acting expert, by which the joined head switches its bias.
         own = torch.cat([torch.ones_like(seen[:, :1]), features[:, count:]], dim=1)
         return (chosen[:, :, None] * own[:, None]).flatten(1)
 
@@ -148,6 +150,7 @@ def _by_expert(chosen: Tensor, width: int, run: Callable[[int], Tensor]) -> Tens
     found = chosen.new_zeros(len(chosen), width)
     for number in range(chosen.shape[1]):
         mine = chosen[:, number] > 0
+        # Experts that nobody asks cost nothing; on the device meta there are no values to ask.
         if mine.is_meta or mine.any():
             found = torch.where(mine[:, None], run(number), found)
     return torch.cat([chosen, found], dim=1)
@@ -175,6 +178,7 @@ def fit_gate(
             # Routes with few sentences count as much as those with many.
             share = 1.0 / ((1 + COPIES) * len(said))
             wanted += [(route, share)] * (1 + COPIES)
+    # LBFGS in float32 stops early, where differences of the loss are rounded away.
     seen = torch.from_numpy(np.stack(rows)).double()
     labels = torch.tensor([route for route, _ in wanted])
     weight = torch.tensor([each for _, each in wanted]).double()
@@ -202,4 +206,5 @@ def fit_gate(
 def _varied(sentence: str, random: np.random.Generator) -> str:
     """The sentence with some words more that nobody has ever heard."""
     new = random.integers(10**9, size=random.integers(MOST_NEW + 1))
+    # Numbers are no words of any language, so that none is known by chance.
     return " ".join([sentence, *(f"x{number}" for number in new.tolist())])

@@ -81,6 +81,7 @@ class Student(nn.Module):
             )
         else:
             errors = (predicted - target) ** 2
+        # Repeated actions past the end of an episode would teach to stand still.
         weight = batch.valid[..., None].float()
         return (errors * weight).sum() / (weight.sum() * errors.shape[-1])
 

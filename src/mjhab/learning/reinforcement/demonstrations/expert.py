@@ -46,6 +46,7 @@ def collect_demonstrations(
     began = time.perf_counter()
     play = _Play(session, min(DEMONSTRATION_WORLDS, episodes), Styles.parse(style))
     buffer = make(play.worlds)
+    # Whole rounds: worlds that end early would otherwise start episodes that nobody finishes.
     rounds = -(-episodes // play.worlds)
     whole = rounds * play.worlds
     work = f"{whole} episodes of the expert"
@@ -99,6 +100,7 @@ class _Play:
         obs, info = self._begin_episodes()
         seen = self._encoder.see(obs, info)
         ended = torch.zeros(self.worlds, dtype=torch.bool)
+        # Episodes go on past success until the horizon, so that the buffer's rings stay side by side.
         while not bool(ended.all()):
             executed = torch.from_numpy(self._expert.act(obs, info))
             intended = torch.from_numpy(self._expert.notes().intended)
@@ -109,10 +111,15 @@ class _Play:
                 torch.from_numpy(reward).float(), torch.from_numpy(terminated), info
             )
             buffer.add(
-                seen.to(device), intended.to(device), paid.to(device), over.to(device)
+                # The intended action, as imitation takes it; the rewards are those of the executed one.
+                seen.to(device),
+                intended.to(device),
+                paid.to(device),
+                over.to(device),
             )
             seen = following
             ended = ended | torch.from_numpy(terminated | truncated)
+            # Processes must not leave each other alone in the middle of a round.
             if distributed.processes() == 1:
                 self._session.check_time()
         buffer.close(torch.arange(self.worlds, device=device), seen.to(device))

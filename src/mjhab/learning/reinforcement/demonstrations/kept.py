@@ -27,11 +27,13 @@ def kept_demonstrations(folder: Path, fill: Callable[[], ReplayBuffer]) -> Repla
         buffer = ReplayBuffer(
             ReplayShape.from_plain(kept["shape"]), torch.device("cpu"), folder
         )
+        # An array that was deleted was made anew, empty: then all is filled again.
         if not buffer.is_new:
             buffer.position.copy_(torch.tensor(kept["position"]))
             return buffer
     buffer = fill()
     if folder.is_dir():
         kept = {"shape": asdict(buffer.shape), "position": buffer.position.tolist()}
+        # Last: the mark says that the arrays are complete.
         write_text(done, json.dumps(kept) + "\n")
     return buffer

@@ -65,7 +65,9 @@ def replay_recorded(
     recordings: dict[str, list[Place]] = defaultdict(list)
     for path, name in found.matched:
         recordings[name.partition("-")[0]].append((path, name))
+    # Each recording may end with a batch that is not full.
     batches = total // WORLDS + len(recordings)
+    # One more entry per episode, for its last observation.
     buffer = make(min(WORLDS, total), batches * (longest + 1))
     done = 0
     for members in recordings.values():
@@ -144,6 +146,7 @@ class _Player:
             for name, value in config.of_profile().items()
             if name not in NOT_FROM_THE_RUN
         }
+        # Continuous: the environment must not end an episode before its recorded actions do.
         env_config = {**like.run.config["env"], **rules, "continuous": True}
         run = dataclasses.replace(like.run, config={**like.run.config, "env": env_config})
         self._env = recorded_env(
@@ -178,6 +181,7 @@ class _Player:
         longest = max(len(actions) for actions in recorded)
         seen: AgentObs | None = None
         for t in range(longest):
+            # Worlds whose episode is over stand still.
             actions = np.zeros((env.num_envs, self._width), np.float32)
             for world, rows in enumerate(recorded):
                 if t < len(rows):
@@ -187,6 +191,7 @@ class _Player:
             self._encoder.executed(taken)
             following = self._encoder.see(obs, info)
             active = torch.tensor([w for w, rows in enumerate(recorded) if t < len(rows)])
+            # `set_state` gives no observation, so that the first one is that after the first step.
             if seen is not None:
                 paid, ended = self._rules.apply(
                     torch.from_numpy(reward).float(), torch.from_numpy(terminated), info

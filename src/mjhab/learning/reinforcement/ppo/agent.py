@@ -68,8 +68,12 @@ class Ppo(nn.Module):
                     "left out with a student that `mjhab policy join` made: each of its parts has an encoder",
                 )
             actor.trunk.requires_grad_(False)
+            # The layers behind the encoder go on learning.
             actor.trunk.layers.requires_grad_(True)
+        # An actor that can act already would act differently under other statistics.
         self.keeps_normalization = start is not None or self.config.demonstrations > 0
+        # Torch's global generator is left as it was, so that what a caller draws afterwards does not depend on
+        # this.
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(seed + 1)
             if start is None:
@@ -139,8 +143,10 @@ class Spread(nn.Module):
         self._half = 0.5 * (math.log(MOST_STD) - self._low)
         begin = math.log(initial_std)
         if features:
+            # The inverse of ``forward``, so that training begins with ``initial_std``.
             begin = math.atanh((begin - self._low) / self._half - 1.0)
         self.bias = nn.Parameter(torch.full((actions,), begin))
+        # Zero, so that the spread is the same everywhere at first.
         self.weight = nn.Parameter(torch.zeros(actions, features)) if features else None
 
     def forward(self, features: Tensor) -> Tensor:

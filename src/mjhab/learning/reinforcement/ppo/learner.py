@@ -107,6 +107,7 @@ class PpoLearner:
         with torch.no_grad():
             for _ in range(self.config.rollout_steps):
                 seen = self.worlds.seen
+                # Kept, because a frozen encoder gives the same for the update.
                 encoded.append(agent.encoded(seen))
                 drawn = agent.distribution_of(encoded[-1])
                 action = drawn.sample(random)
@@ -145,6 +146,7 @@ class PpoLearner:
         ]
         values = self._values(seen).view(ended.shape)
         next_values = torch.empty_like(values)
+        # Values are computed once for each observation, as the one after a step is the one before the next.
         next_values[:-1] = values[1:]
         next_values[is_last] = self._values(_joined(last))
         return Outcomes(
@@ -164,6 +166,7 @@ class PpoLearner:
         return torch.cat([self.agent.value(seen.rows(part)) for part in parts])
 
     def _random(self, what: str) -> torch.Generator:
+        # Named by the update, so that a resumed run draws as one that went on.
         drawn = stream(self.seed, f"ppo-{what}", self.updates).integers(1 << 62)
         return torch.Generator().manual_seed(int(drawn))
 
@@ -181,9 +184,11 @@ class PpoLearner:
             self.normalize(self.shown.draw(NORMALIZED_ROWS, random).seen)
             normalizer = agent.actor.normalizer
             self.statistics.fit([normalizer], agent.actor.layout.measured_width)
+            # Each process has its own demonstrations; their networks must stay the same.
             distributed.average([normalizer.mean, normalizer.scale])
         updates = self.config.imitation_updates
         parameters = list(agent.actor.parameters())
+        # An optimizer of its own: the moments of imitation would steer the first updates of PPO.
         optimizer = torch.optim.Adam(parameters, lr=IMITATION_RATE, fused=True)
         schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, max(updates, 1))
         loss = torch.zeros(())
@@ -201,6 +206,7 @@ class PpoLearner:
         """Mean Huber loss between the means of the actions and demonstrated ones."""
         assert self.shown is not None
         batch = self.shown.draw(self.config.imitation_batch, random)
+        # What lies outside is clipped when executed, so that the mean need not follow it.
         error = self.agent.mean(batch.seen) - batch.actions.clamp(-1.0, 1.0)
         return nn.functional.huber_loss(
             error, torch.zeros_like(error), delta=IMITATION_HUBER
@@ -226,6 +232,7 @@ class PpoLearner:
             acting, valuing = self.optimizer.param_groups
             acting["lr"] = self.learning_rate * share
             valuing["lr"] = (config.critic_learning_rate or self.learning_rate) * share
+            # Drawn on the CPU, so that the order is the same on every device.
             order = torch.randperm(count, generator=random).to(rollout.actions.device)
             for start in range(0, count, size):
                 row = self._minibatch(rollout, order[start : start + size], random)
@@ -254,6 +261,7 @@ class PpoLearner:
     def _adapt(self, divergence: float) -> None:
         """Adapt the learning rate so that the KL divergence of an epoch stays near ``desired_kl``."""
         wanted = self.config.desired_kl
+        # While only the critic learns the policy does not move, and the rate would rise without end.
         if not wanted or self.updates < self.config.critic_updates:
             return
         if divergence > 2.0 * wanted:
@@ -269,6 +277,7 @@ class PpoLearner:
         config = self.config
         per_update = config.rollout_steps * self.worlds.count
         done = self.updates * per_update * distributed.processes()
+        # Fades out: at last the reward alone should decide.
         left = max(0.0, 1.0 - done / max(config.imitation_samples, 1))
         return config.imitation_coefficient * left if self.shown is not None else 0.0
 
@@ -289,6 +298,8 @@ class PpoLearner:
         density = drawn.log_probability(rollout.actions[rows])
         logarithm = density - rollout.log_probabilities[rows]
         ratio = logarithm.exp()
+        # An estimate with less variance than the mean logarithm, and never negative (Schulman, "Approximating KL
+        # divergence").
         divergence = ((ratio - 1.0) - logarithm).mean().detach()
         if config.stop_in_epoch and config.target_kl:
             distributed.average([divergence])
@@ -296,19 +307,23 @@ class PpoLearner:
                 return None
         gains = rollout.advantages[rows]
         mean, spread = distributed.mean_and_spread(gains)
+        # Of a minibatch without any spread the advantages are 0, not nan.
         gains = (gains - mean) / (spread + 1e-8)
         clipped = ratio.clamp(1.0 - config.clip, 1.0 + config.clip)
         policy_loss = -torch.minimum(gains * ratio, gains * clipped).mean()
         value_loss = 0.5 * ((agent.value(seen) - rollout.returns[rows]) ** 2).mean()
         loss = config.value_coefficient * value_loss
+        # An untrained critic's advantages would spoil an actor that can act already.
         if self.updates >= config.critic_updates:
             loss = loss + policy_loss
         imitation = self._imitation_weight()
         if imitation and self.updates >= config.critic_updates:
             loss = loss + imitation * self._imitation_loss(random)
         if config.entropy_coefficient:
+            # The entropy of a normal distribution is its log std plus a constant.
             loss = loss - config.entropy_coefficient * drawn.log_std.sum(dim=1).mean()
         update = self.updates + 1
+        # Before the gradient, so that the weights are still good.
         check_finite(float(loss.detach()), "the loss", update)
         self.optimizer.zero_grad(set_to_none=True)
         loss.backward()

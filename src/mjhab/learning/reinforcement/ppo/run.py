@@ -39,7 +39,10 @@ class PpoRun(AlgorithmRun):
         self.agent = agent
         decay = agent.config.average
         self.average = AveragedModel(
-            agent.actor, multi_avg_fn=get_ema_multi_avg_fn(decay), use_buffers=False
+            # Buffers are the normalizers' statistics, which are averages already.
+            agent.actor,
+            multi_avg_fn=get_ema_multi_avg_fn(decay),
+            use_buffers=False,
         )
         averaged = cast("Student", self.average.module)
         self.actor = averaged if decay else agent.actor
@@ -56,6 +59,7 @@ class PpoRun(AlgorithmRun):
         self.learner.shown = self.demonstrations(
             ppo.demonstrations, ppo.demonstration_style
         )
+        # A resumed or given actor has learned more than imitation would leave it.
         if session.saved is None and session.start is None:
             session.log.show({"phase": "imitation"})
             self.learner.imitate(self._imitated)
@@ -83,6 +87,7 @@ class PpoRun(AlgorithmRun):
         averaged = self.average.state_dict() if self.agent.config.average else {}
         return {
             **prefixed("average", averaged),
+            # float64, so that a resumed run goes on with the same bits.
             "learning_rate": torch.tensor(learner.learning_rate, dtype=torch.float64),
             **prefixed("agent", self.agent.state_dict()),
             **prefixed("optimizer", optimizer_tensors(learner.optimizer)),
@@ -101,6 +106,7 @@ class PpoRun(AlgorithmRun):
             rollout = learner.collect(session.note)
             acted = time.perf_counter()
             numbers = learner.update(rollout, state.samples / self.config.samples)
+            # After the update: the rollout's log-probabilities are under the statistics it was acted with.
             learner.normalize(rollout.seen)
             if self.agent.config.average:
                 self.average.update_parameters(self.agent.actor)

@@ -73,8 +73,11 @@ class Sac(nn.Module):
                 _begin_as_published(self.actor, self.judge)
         if published and config.sac.share_encoder:
             _share_convolutions(self.judge.encoder, acting)
+        # After the encoders are shared, so that the copy shares none with the actor.
         self.target = copy.deepcopy(self.judge).requires_grad_(False)
+        # The logarithm, so that alpha stays positive whatever the step.
         self.log_alpha = nn.Parameter(torch.tensor(math.log(config.sac.initial_alpha)))
+        # The usual heuristic of SAC: one nat less per action (arXiv 1812.05905, App. D).
         self.target_entropy = -float(len(layout.actions))
 
 

@@ -92,6 +92,7 @@ class SacLearner:
     def _judge(self, batch: Transitions, random: torch.Generator) -> float:
         agent = self.agent
         critics = agent.judge.critics
+        # An episode that the time limit ended goes on in the value of its last state.
         goes_on = (~batch.terminated).float()
         with torch.no_grad():
             following = batch.next_seen
@@ -100,6 +101,7 @@ class SacLearner:
             said = agent.target(following, actions)
             worth = agent.target.critics.values(said)
             entropy = agent.log_alpha.exp() * density
+            # The whole distribution of the critic that expects least, so that it stays one distribution.
             least = worth.argmin(dim=0)
             if self.config.atoms:
                 index = least[None, :, None].expand(1, -1, self.config.atoms)
@@ -135,12 +137,14 @@ class SacLearner:
         with _frozen(self.judging):
             features = agent.actor.features(batch.seen.vector, batch.seen.images)
             actions, density = agent.actor.sample(features, random)
+            # A frozen actor may still imitate.
             loss = torch.zeros((), device=actions.device)
             if not frozen:
                 worth = agent.judge.critics.values(agent.judge(batch.seen, actions))
                 loss = (alpha.detach() * density - worth.min(dim=0).values).mean()
         if imitation and demonstrated:
             mean, _ = agent.actor.distribution(features[:demonstrated])
+            # The demonstrations are the first rows, see `batch`.
             wanted = batch.actions[:demonstrated].clamp(-LARGEST_ACTION, LARGEST_ACTION)
             loss = loss + imitation * ((torch.tanh(mean) - wanted) ** 2).mean()
         self._step("actor", loss, self.acting)
@@ -154,6 +158,7 @@ class SacLearner:
     def _step(self, name: str, loss: Tensor, parameters: list[nn.Parameter]) -> None:
         update = self.updates + 1
         check_finite(float(loss.detach()), f"the loss of the {name}", update)
+        # A frozen actor that imitates nothing has nothing to learn from.
         if not loss.requires_grad:
             return
         self.optimizers[name].zero_grad(set_to_none=True)
@@ -171,6 +176,7 @@ class SacLearner:
             self.agent.target.parameters(), self.agent.judge.parameters(), strict=True
         )
         for kept, new in pairs:
+            # Parameters alone: the normalizers of both were fitted together.
             kept.lerp_(new, self.config.tau)
 
 

@@ -73,9 +73,11 @@ class SacRun(AlgorithmRun):
             restore_optimizer(optimizer, part_of(f"optimizer_{name}", tensors))
         learner.updates = self.session.state.updates
         self.owed = float(tensors["owed"])
+        # Of all processes, since one of them writes the checkpoint.
         position = tensors["position"].chunk(distributed.processes())[distributed.rank()]
         if not self.online.is_new:
             self.online.position.copy_(position)
+        # On a GPU the buffer is memory, and its content ended with the process.
         elif bool(position.any()):
             self.first_update = self.session.state.samples + self.warm_up
             self.session.log.say(
@@ -102,6 +104,7 @@ class SacRun(AlgorithmRun):
         session = self.session
         state = session.state
         worlds = session.worlds
+        # 0 stands for MS-HAB's rule: one update per step of all worlds.
         ratio = self.sac.updates_per_step or 1.0 / worlds.count
         told_at = 0.0
         left = self.first_update - state.samples
@@ -113,6 +116,7 @@ class SacRun(AlgorithmRun):
             acted = time.perf_counter()
             numbers: dict[str, float] = {}
             if state.samples >= self.first_update:
+                # Once: under other statistics the critics' weights would mean something else.
                 if before < self.first_update and not self.learner.updates:
                     self._fit_normalizers()
                 self.owed += ratio * worlds.count
@@ -128,6 +132,7 @@ class SacRun(AlgorithmRun):
                 numbers["learner_share"] = (ended - acted) / (ended - began)
                 session.log.show({"phase": "learning"})
                 session.report(numbers)
+            # Before it the actor is random and its evaluation worth nothing.
             if state.samples >= self.sac.warm_up:
                 self.between(before)
             else:
@@ -158,6 +163,7 @@ class SacRun(AlgorithmRun):
         self.session.note(transition)
 
     def _noise(self) -> torch.Generator:
+        # By the number of samples, which a checkpoint holds.
         drawn = stream(self.session.seed, "sac-act", self.session.state.samples)
         return torch.Generator().manual_seed(int(drawn.integers(1 << 62)))
 
@@ -183,6 +189,7 @@ class SacRun(AlgorithmRun):
             return
         sources = [self.shown] if self.shown is not None else []
         rows = [
+            # As many of each source, as batches have later.
             source.draw(self.warm_up // 2, self.learner.random("fit")).seen
             for source in [*sources, self.online]
         ]

@@ -53,6 +53,7 @@ def safe_path(path: str, where: str) -> str:
         UsageError: it is absolute, climbs out with ``..``, or uses what some system takes for a drive or separator.
     """
     parts = [part for part in PurePosixPath(path).parts if part != "."]
+    # Backslashes, drives and streams of Windows too: an archive should mean the same everywhere.
     bad = path.startswith("/") or ".." in parts or any(sign in path for sign in "\\:\0")
     if bad or not parts:
         raise fault(
@@ -88,6 +89,7 @@ def unpack(archive: Path, folder: Path) -> None:
 def _plain(archive: Path) -> IO[bytes]:
     """A tar archive without its compression."""
     with archive.open("rb") as file:
+        # By its first bytes, since the name of a download says nothing.
         begin = file.read(max(map(len, _COMPRESSED)))
     for magic, opened in _COMPRESSED.items():
         if begin.startswith(magic):
@@ -130,6 +132,7 @@ class _Headers:
 
 def _zip_members(file: zipfile.ZipFile, archive: Path) -> Iterator[Member]:
     for info in file.infolist():
+        # A link could lead out of the folder for the files after it.
         if (info.external_attr >> 16) & 0o170000 == _LINK:
             raise _refused(archive, info.filename, "a link")
         if info.flag_bits & 1:
@@ -168,6 +171,7 @@ def _write(members: Iterator[Member], folder: Path, archive: Path) -> None:
     wanted = 0
     most = _most_bytes(archive)
     for path, size, content in members:
+        # All names and sizes are checked before anything is written.
         found.append((safe_path(path, str(archive)), size, content))
         wanted += size
         if wanted > most:
@@ -176,6 +180,7 @@ def _write(members: Iterator[Member], folder: Path, archive: Path) -> None:
                 f"holds more than {most / 1e9:.1f} GB, which no data set of its size does; nothing was installed.",
             )
     folder.mkdir(parents=True, exist_ok=True)
+    # Asked before the first file is written: a full disk would stop other programs, too.
     free = shutil.disk_usage(folder).free
     if wanted > free:
         raise fault(

@@ -73,11 +73,13 @@ class RemoteFile:
 
     def matches(self, path: Path) -> bool:
         """Whether a file is there with these bytes."""
+        # The size first: hashing GB to find a cut file takes minutes.
         if not path.is_file() or path.stat().st_size != self.size:
             return False
         with path.open("rb") as file:
             if self.sha256:
                 return hashlib.file_digest(file, "sha256").hexdigest() == self.sha256
+            # How git hashes a file; the hub lists no other hash of small ones.
             blob = hashlib.sha1(b"blob %d\0" % self.size, usedforsecurity=False)
             blob.update(file.read())
             return blob.hexdigest() == self.blob_sha1
@@ -167,6 +169,7 @@ def download(repository: Repository, paths: Collection[str], folder: Path) -> No
     from huggingface_hub.utils import disable_progress_bars, tqdm
 
     if not sys.stderr.isatty():
+        # In a log file a bar would write a line at every step.
         disable_progress_bars()
     stop = threading.Event()
 
@@ -188,9 +191,11 @@ def download(repository: Repository, paths: Collection[str], folder: Path) -> No
             revision=repository.commit,
             endpoint=hub_endpoint(),
             local_dir=folder,
+            # Paths with brackets would be patterns.
             allow_patterns=None if is_whole else [glob.escape(path) for path in paths],
             tqdm_class=Bar,
         )
+        # The main thread stays free to hear Ctrl-C, which Python gives to it alone.
         with ThreadPoolExecutor(1) as thread:
             try:
                 thread.submit(bring).result()
@@ -199,6 +204,7 @@ def download(repository: Repository, paths: Collection[str], folder: Path) -> No
                 raise
         wrong = [p for p in paths if not repository.files[p].matches(folder / p)]
         for path in wrong:
+            # Otherwise the library would take the file for finished in the next try.
             (folder / path).unlink(missing_ok=True)
         if wrong:
             raise TransferError(
@@ -220,12 +226,14 @@ def patiently(ask: Callable[[], Answer], what: str) -> Answer:
     for attempt in range(1, TRIES + 1):
         try:
             return ask()
+        # Asking again would give the same.
         except UsageError:
             raise
         except Exception as error:
             failure = _transfer_error(what, error)
             if attempt == TRIES or not failure.passes:
                 raise failure from error
+        # Longer each time: a server that is busy needs fewer requests, not more.
         time.sleep(2.0**attempt)
     raise AssertionError("the last try returns or raises")
 
@@ -233,6 +241,7 @@ def patiently(ask: Callable[[], Answer], what: str) -> Answer:
 def _is_of_connection(error: BaseException) -> bool:
     """Whether the library below `huggingface_hub` raised an error."""
     return any(
+        # By name, because importing the library would tie us to its version.
         kind.__name__ == "HTTPError" and kind.__module__.partition(".")[0] in _BELOW
         for kind in type(error).__mro__
     )

@@ -61,6 +61,7 @@ def fetch(source: Source, root: Path, overwrite: bool = False) -> Path:
             "commit": repository.commit,
             "trust": "hub",
         }
+        # By the commit: files of another one must not be mixed in when a download goes on.
         staging = root / PARTIAL / f"{source.name}-{repository.commit[:12]}"
         staging.mkdir(exist_ok=True)
         _refuse_without_room(staging, sum(repository.files[path].size for path in places))
@@ -71,6 +72,7 @@ def fetch(source: Source, root: Path, overwrite: bool = False) -> Path:
         else:
             _move({staging / path: to for path, to in places.items()}, content)
         _install(source, content, root, provenance)
+        # Stages of older commits as well.
         for left in (root / PARTIAL).glob(f"{source.name}-*"):
             shutil.rmtree(left, ignore_errors=True)
     return root / source.name
@@ -209,6 +211,7 @@ def _install(
 
 def _find(source: Source, content: Path) -> Path | None:
     """The folder in ``content`` that is the data set, or one made of its files if they lie as in the repository."""
+    # Archives have their files in one or two folders of their own; the outermost that fits is taken.
     for wrapped in ("", "*/", "*/*/"):
         for folder in sorted(content.glob(wrapped)) if wrapped else [content]:
             found = folder if source.complete(folder) else _arranged(source, folder)
@@ -245,11 +248,13 @@ def _swap(new: Path, target: Path, old: Path) -> None:
     """Put ``new`` at ``target``; a folder that was there is kept as ``old`` until the new one is in place."""
     if target.exists():
         shutil.rmtree(old, ignore_errors=True)
+        # A folder with files cannot be replaced by rename.
         target.rename(old)
     try:
         new.rename(target)
     except OSError:
         if old.exists():
+            # The new folder did not arrive, and the old one is whole.
             old.rename(target)
         raise
     shutil.rmtree(old, ignore_errors=True)

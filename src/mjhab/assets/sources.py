@@ -117,6 +117,7 @@ def hub_endpoint() -> str:
     parts = urlsplit(given)
     if parts.scheme not in ("http", "https") or not parts.netloc:
         raise wrong_value("HF_ENDPOINT", given, f"an address such as {ENDPOINT}")
+    # Paths are appended with a slash of their own.
     return given.rstrip("/")
 
 

@@ -37,6 +37,7 @@ def upload(
     from huggingface_hub.utils import disable_progress_bars, logging
 
     check_repository(name)
+    # Asked for first: without one a GB would be prepared for nothing.
     token = huggingface_hub.get_token()
     if not token:
         raise missing_field(
@@ -50,6 +51,7 @@ def upload(
     where = address_of(name, kind)
 
     def commit() -> str:
+        # None leaves an existing repository as it is.
         api.create_repo(name, repo_type=kind, private=private or None, exist_ok=True)
         added = [CommitOperationAdd(path, local) for path, local in files.items()]
         done = api.create_commit(name, added, commit_message=message, repo_type=kind)

@@ -87,6 +87,7 @@ class Address:
             check_between("latency_ms", self.latency_ms, 0, MAX_LATENCY_MS)
         check_between("hz", self.hz, 0, MAX_HZ)
         if not self.real_time:
+            # Silently without effect, they would let a run be taken for one in real time.
             for name in ("latency_ms", "hz", "meanwhile"):
                 value = getattr(self, name)
                 if value != getattr(type(self), name):
@@ -143,6 +144,7 @@ class Address:
 
 def without_password(spec: str) -> str:
     """A policy specification for messages and results: an address without user name and password."""
+    # Other specifications may have an @ in a path.
     return _CREDENTIALS.sub("", spec) if spec.startswith(SCHEMES) else spec
 
 

@@ -28,6 +28,7 @@ from mjhab.serving.dialects.names import answered_in, dialect_named, greeted_in
 from mjhab.serving.packing import ProtocolError, pack, unpack
 from mjhab.serving.patience import GREETING_TIMEOUT_S, RETRY_S, Patience
 
+# Far above a chunk of actions, and far below what would fill the memory.
 MAX_ANSWER_BYTES = 64 << 20
 TCP_TIMEOUT_S = 10.0
 """Longest wait for a TCP connection [s]: the system of a busy server takes it, that of no server refuses it."""
@@ -65,6 +66,7 @@ class Connection:
         self.first_step: int | None = None
         self._dialect = dialect_named(address.dialect)
         self._socket: ClientConnection | None = None
+        # The next episode begins with nothing to remember.
         self._asked = False
         self._understood = False
         self._patience = patience or Patience(address)
@@ -91,6 +93,7 @@ class Connection:
                 cannot be made good.
             UsageError: the first answer is in another dialect.
         """
+        # Counted over all connections: one that compiles may hold up the others.
         with self._patience.asking(len(asks), first=not self._asked):
             return self._ask(asks, begins)
 
@@ -135,8 +138,10 @@ class Connection:
         beginning = self._dialect.begin(asks[0].session) if begins else None
         if beginning is not None:
             socket.send(pack(beginning))
+            # Its answer must be read, or it would be taken for that to the request.
             if self._dialect.begin_answered:
                 self._check_reset(self._receive())
+        # The packing of images counts, too: it is part of what the world waits for.
         started = time.perf_counter()
         request = self._dialect.request(asks, self.metadata, self.address.batch)
         socket.send(pack(request))
@@ -171,6 +176,7 @@ class Connection:
             left = due - time.monotonic()
             if left <= 0.0:
                 break
+            # Looks in between tell whether a server of mjhab is still alive.
             with suppress(TimeoutError):
                 return socket.recv(min(left, look))
         # A late answer must not be taken for that to the next request.
@@ -181,6 +187,7 @@ class Connection:
 
     def _check_reset(self, answer: str | bytes) -> None:
         if answer not in (RESET_DONE, RESET_DONE.encode(), pack(RESET_DONE)):
+            # What it will send next cannot be known.
             self.close()
             raise PolicyFault(f"the server did not begin an episode: {_said(answer)}")
 
@@ -196,6 +203,7 @@ class Connection:
         except ProtocolError as error:
             self.close()
             other = answered_in(answer)
+            # Once an answer was understood, a strange one is a fault of the policy and not of the dialect.
             if other and other != self.address.dialect and not self._understood:
                 raise wrong_dialect(self.address, other) from error
             raise PolicyFault(str(error)) from error
@@ -228,6 +236,7 @@ class Connection:
             try:
                 self.metadata = self._greeting(socket, wait)
             except UsageError:
+                # A server of another kind would keep the connection open.
                 socket.close()
                 raise
         self._patience.greeted()
@@ -248,6 +257,7 @@ class Connection:
             return connect(
                 self.address.uri,
                 sock=line,
+                # Images hardly shrink, and compressing them takes longer than a local network.
                 compression=None,
                 max_size=MAX_ANSWER_BYTES,
                 additional_headers=headers,
@@ -255,10 +265,12 @@ class Connection:
                 # Pings keep the line open. Whether the server is stuck, the wait for its answer decides: one that
                 # computes in its event loop answers no pings.
                 ping_timeout=None,
+                # A proxy for the web would be asked for a server in the same room.
                 proxy=None,
             )
         except InvalidStatus as error:
             status = error.response.status_code
+            # 5xx passes, as while a server starts behind a proxy; others stay.
             kind = _NotNow if status >= 500 else UsageError
             raise kind(_refusal(server, status)) from error
         except TimeoutError as error:
@@ -285,6 +297,7 @@ class Connection:
             ) from error
         except OSError as error:
             raise _NotNow(_absence(self.address, error)) from error
+        # The timeout was for the connection alone; websockets sets its own.
         line.settimeout(None)
         _limit_sending(line, self._patience.longest())
         return line
@@ -302,6 +315,7 @@ class Connection:
                 "by mjhab.integrations.vla_eval."
             ],
         )
+        # A timer must not keep the process alive.
         note.daemon = True
         note.start()
         try:
@@ -402,4 +416,5 @@ def _said(text: str | bytes) -> str:
     words = text if isinstance(text, str) else repr(text[:_MOST_SHOWN])
     lines = [line.strip() for line in words.splitlines() if line.strip()]
     last = lines[-1] if lines else "nothing"
+    # Text of a server may hold sequences that steer a terminal.
     return "".join(c if c.isprintable() else "?" for c in last)[-_MOST_SHOWN:]

@@ -92,6 +92,7 @@ def _array(value: dict[Any, Any]) -> np.ndarray:
         raise ProtocolError(f"an array in the message has the shape {shape!r}")
     dtype = _dtype(value)
     needed = math.prod(shape) * dtype.itemsize
+    # A view over fewer bytes would fail later, and over more read what belongs to another array.
     if needed != len(data):
         raise ProtocolError(
             f"an array {tuple(shape)} of {dtype} in the message has {len(data)} bytes, not {needed}"
@@ -113,5 +114,6 @@ def _dtype(value: dict[Any, Any]) -> np.dtype:
 
 
 def _check_kind(dtype: np.dtype) -> None:
+    # Objects would be pickles, which run code when they are read.
     if dtype.kind not in _NUMBER_KINDS:
         raise ProtocolError(f"arrays in messages hold numbers, not {dtype}")

@@ -87,6 +87,7 @@ class Patience:
         address = self._address
         if self._in_vain:
             return address.timeout
+        # A server that answers one after the other needs the time of all that were asked.
         waits = [address.timeout * max(1, self._asked)]
         # What a server does for the first answer over one connection may hold up all others.
         if first or self._firsts:
@@ -100,6 +101,7 @@ class Patience:
     def for_handshake(self) -> float:
         """Longest wait for a handshake, and for the greeting after it [s]."""
         if self._in_vain:
+            # It was waited for once; the episodes to come should fail fast.
             return min(GREETING_TIMEOUT_S, self.for_answer(False))
         if not self.answers:
             return self.for_answer(True)
@@ -111,6 +113,7 @@ class Patience:
         if self._in_vain:
             return RETRY_S
         if not self.answers:
+            # It may still be starting.
             return max(address.reconnect, address.first_timeout)
         return address.reconnect
 

@@ -206,12 +206,14 @@ def free_socket(host: str, port: int) -> socket.socket:
     tried = range(port, min(port + PORTS_TRIED, 1 << 16)) if port else range(1)
     for number in tried:
         listening = socket.socket(family, socket.SOCK_STREAM)
+        # A server that was just stopped leaves its port waiting for a minute.
         listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
             listening.bind((host, number))
             listening.listen()
         except OSError as error:
             listening.close()
+            # Another port would not help against a wrong host.
             if error.errno not in (errno.EADDRINUSE, errno.EACCES):
                 raise UsageError(f"cannot listen on {host}:{number}: {error}.") from error
         else:
@@ -224,6 +226,7 @@ def free_socket(host: str, port: int) -> socket.socket:
 def _farewell(connection: ServerConnection, text: str) -> None:
     """Tell the client what went wrong, and close."""
     try:
+        # As text, which clients of all dialects take for an error.
         connection.send(text)
         connection.close(INTERNAL_ERROR, "error, see the frame before")
     except (ConnectionClosed, OSError):

@@ -59,6 +59,7 @@ class Behavior:
             "prompt": prompts if batch else prompts[0],
             **own_parts(asks, batch=batch),
         }
+        # Older servers do not know the key.
         if asks[0].chunk > 1:
             message[_CHUNK] = asks[0].chunk
         return message
@@ -73,6 +74,7 @@ class Behavior:
         except ValueError as error:
             # Rows of unequal lengths.
             raise ProtocolError(f"actions are numbers, not {described(first)}") from error
+        # A server may answer a batch of one without its axis.
         if numbers.ndim == 2:
             numbers = numbers[None]
         return chunks_of(numbers, batch)

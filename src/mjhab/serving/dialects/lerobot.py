@@ -55,6 +55,7 @@ class LeRobot:
         parts: dict[str, Sequence[np.ndarray | None]] = {
             f"{IMAGES}.{name}": images for name, images in _images(asks, metadata).items()
         }
+        # Without a wish in the greeting the whole state is sent, as in the other dialects.
         if asks[0].sensed is None:
             parts[STATE] = [ask.state for ask in asks]
         else:
@@ -87,6 +88,7 @@ def _images(
 ) -> dict[str, list[np.ndarray | None]]:
     """Images of all worlds by the names that the policy has for them."""
     seen = [[ask.external for ask in asks], [ask.wrist for ask in asks]]
+    # Some policies want three images, and the robot has two cameras.
     seen.append([None if image is None else np.zeros_like(image) for image in seen[0]])
     wanted = metadata.get(IMAGE_NAMES)
     names = [camera for camera in asks[0].cameras if camera]

@@ -38,6 +38,7 @@ def greeted_in(metadata: Mapping[str, Any]) -> str:
     spoken = own.get("dialect") if isinstance(own, Mapping) else None
     if isinstance(spoken, str) and spoken in DIALECTS:
         return spoken
+    # Its greeting is the only one with keys of its own; others greet with anything.
     return RoboArena.name if set(metadata) >= _ROBOARENA_KEYS else ""
 
 
@@ -46,6 +47,7 @@ def answered_in(answer: Any) -> str:
     if isinstance(answer, np.ndarray):
         return RoboArena.name
     if isinstance(answer, Mapping):
+        # LeRobot's answer has the key of behavior, and is taken for it.
         for dialect, key in ((OpenPi.name, "actions"), (Behavior.name, "action")):
             if isinstance(answer.get(key), np.ndarray):
                 return dialect

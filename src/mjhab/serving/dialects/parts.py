@@ -22,6 +22,7 @@ def own_parts(asks: Sequence[Ask], batch: bool) -> dict[str, Any]:
     return {
         key: [dict(part) for part in parts] if batch else dict(parts[0])
         for key, values in entries.items()
+        # Of all worlds or of none: lists of different lengths could not be put side by side.
         if len(parts := [value for value in values if value is not None]) == len(asks)
     }
 

@@ -75,6 +75,7 @@ class RoboArena:
         return numbers_of(answer, 2)[None]
 
     def read(self, message: Any) -> Incoming:
+        # A copy, as a key is taken out of it.
         request = dict(mapping(message))
         endpoint = request.pop("endpoint", None)
         if endpoint not in ("infer", "reset"):
@@ -90,6 +91,7 @@ class RoboArena:
 def cartesian_position(pose: np.ndarray) -> np.ndarray:
     """DROID's form of a pose (7,), position [m] and quaternion wxyz: position and xyz Euler angles (6,) [m, rad]."""
     pose = np.asarray(pose, np.float64)
+    # A quaternion in float32 is a little longer or shorter than 1.
     turn = pose[3:] / np.linalg.norm(pose[3:])
     angles = np.asarray(euler_xyz(mat_from_quat(turn)))
     return np.concatenate([pose[:3], angles]).astype(np.float32)

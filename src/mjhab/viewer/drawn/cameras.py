@@ -49,6 +49,7 @@ class CameraThread:
         self._newest: tuple[CpuSimulator, str, PosedWorld] | None = None
         self._changed = threading.Condition()
         self._closing = False
+        # A thread, because drawing takes longer than a frame of the page.
         self._thread = threading.Thread(target=self._run, name="cameras", daemon=True)
         self._thread.start()
 
@@ -72,6 +73,7 @@ class CameraThread:
                 if self._closing:
                     return
                 newest = self._newest
+                # Taken: a state that comes while this one is drawn is the next.
                 self._newest = None
             assert newest is not None
             try:
@@ -81,6 +83,7 @@ class CameraThread:
                 self._show(drawn)
                 self.drawn += 1
                 self.problem = ""
+            # The page goes on without images, and says why.
             except Exception as error:
                 self.problem = f"cameras: {type(error).__name__}: {error}"
 

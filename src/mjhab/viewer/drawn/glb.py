@@ -73,6 +73,7 @@ def home_digest(layout: Layout, home: str) -> str:
     """Return a hash of everything that the files of a home of a layout depend on."""
     spec = next(h for h in layout.pack.homes if h.name == home)
     digest = hashlib.sha256(home_hash(layout, spec).encode())
+    # A change of the code that draws must not show old files.
     digest.update(code_digest("viewer.drawn.glb", "render", "robots"))
     # The hash of the home covers only its physics: no colours, no textures, and not how the robot looks.
     digest.update(_looks_digest(layout.robot))
@@ -137,6 +138,7 @@ def glb(model: Model, looks: tuple[Look, ...]) -> bytes:
             part.faces,
             vertex_normals=part.normals,
             visual=TextureVisuals(uv, material=_material(looks[part.look])),
+            # trimesh would merge vertices, and with them the edges of textures.
             process=False,
         )
         scene.add_geometry(mesh)

@@ -56,10 +56,12 @@ class PoseHandle:
         self._root = root
         if self._gizmo.visible != (pose is not None):
             self._gizmo.visible = pose is not None
+        # Moved by both, it would jump under the mouse.
         if pose is None or time.monotonic() - self._dragged_at < DRAG_SECONDS:
             return
         wanted = pose_mul(root, pose)
         now = np.concatenate([self._gizmo.position, self._gizmo.wxyz])
+        # Each assignment is a message to all pages.
         if np.abs(wanted - now).max() > _MIN_MOVE:
             self._gizmo.position = wanted[:3]
             self._gizmo.wxyz = wanted[3:]

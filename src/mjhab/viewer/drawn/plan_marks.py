@@ -13,6 +13,7 @@ from mjhab.experts.base.route import Route
 from mjhab.experts.phases import frames_of, phases_of
 from mjhab.experts.planning.workplace import BasePlacement, HandGoals
 
+# More cover each other, and each is a set of axes to draw.
 MAX_CANDIDATES = 40
 T = TypeVar("T")
 
@@ -71,6 +72,7 @@ def _held(script: Generator[Any, Any, Any]) -> Iterator[Any]:
     for frame in reversed(list(frames_of(script))):
         for value in frame.f_locals.values():
             yield value
+            # Scripts pass plans on in pairs, with a cost or a number beside.
             if isinstance(value, tuple):
                 yield from value
 

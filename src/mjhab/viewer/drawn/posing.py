@@ -64,6 +64,7 @@ class Poser:
         assert data is not None
         data.qpos[:] = qpos
         mujoco.mj_kinematics(model, data)
+        # The collision detection below needs what this computes.
         mujoco.mj_comPos(model, data)
         mujoco.mj_collision(model, data)
         return PosedWorld(
@@ -73,6 +74,7 @@ class Poser:
     def _contacts(self, model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
         """(C, 3) positions [m] of penetrating contacts between the robot and other geoms (it does not touch floors)."""
         geoms = data.contact.geom
+        # Flexible bodies have -1, and within a margin there are contacts without touch.
         touching = (geoms >= 0).all(axis=1) & (data.contact.dist < 0.0)
         ours = self._robot[model.geom_bodyid[np.maximum(geoms, 0)]]
         return data.contact.pos[touching & (ours[:, 0] != ours[:, 1])].copy()
@@ -90,6 +92,7 @@ def between(a: PosedWorld, b: PosedWorld, share: float) -> PosedWorld:
     """Interpolate from ``a`` to ``b`` at ``share`` (0 to 1); bodies that jump stay at ``a`` until ``share`` is 1."""
     jumped = np.linalg.norm(b.pos - a.pos, axis=1) > MAX_JUMP_M
     weight = np.where(jumped, np.floor(share), share)[:, None]
+    # Both signs are the same rotation: the nearer one turns the short way round.
     sign = np.where((a.quat * b.quat).sum(axis=1, keepdims=True) < 0.0, -1.0, 1.0)
     quat = (1.0 - weight) * a.quat + weight * sign * b.quat
     quat /= np.linalg.norm(quat, axis=1, keepdims=True)

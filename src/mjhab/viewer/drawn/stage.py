@@ -30,6 +30,7 @@ PATH_WIDTH_M = 0.02
 LABEL_HEIGHT_M = 0.3
 PLACEMENT_RADIUS_M = 0.28
 CONTACT_RADIUS_M = 0.012
+# Below the floor: changing their number would send all of them again.
 _HIDDEN = (0.0, 0.0, -100.0)
 
 
@@ -78,6 +79,7 @@ class DrawnStage:
 
     def show(self, home: HomeFiles, pose: PosedWorld) -> None:
         """Replace the drawn home by another one, with its bodies at ``pose``."""
+        # In one piece, or a page would show the home half built.
         with self._server.atomic():
             for node in self._nodes:
                 node.remove()
@@ -116,6 +118,7 @@ class DrawnStage:
         positions = np.tile(np.asarray(_HIDDEN, np.float32), (MAX_CONTACTS, 1))
         shown = contacts[:MAX_CONTACTS]
         positions[: len(shown)] = shown
+        # Most states have the same contacts as the one before, and nothing is sent.
         if not np.array_equal(positions, self._contacts.batched_positions):
             self._contacts.batched_positions = positions
 

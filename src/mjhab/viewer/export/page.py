@@ -105,9 +105,12 @@ def _page(
     header["stills"] = stills
     header["pose"] = _poses(track, models, replay, block)
     header["pictures"] = _pictures(track, replay, pictures, block)
+    # JavaScript does not read NaN in JSON.
     head = json.dumps(header, separators=(",", ":"), allow_nan=False).encode()
     packed = zlib.compress(
-        len(head).to_bytes(4, "little") + _padded(head) + block.bytes(), 9
+        # Padded, because typed arrays of JavaScript begin at multiples of their size.
+        len(head).to_bytes(4, "little") + _padded(head) + block.bytes(),
+        9,
     )
     page = render_page(
         "viewer/export/page.html", title=track.title, data=base64_text(packed)
@@ -132,6 +135,7 @@ class _Block:
     def add_quantized(self, array: np.ndarray) -> dict[str, Any]:
         """Add columns (n, k), each quantized to uint16 between its smallest and largest value."""
         low = array.min(axis=0)
+        # A flat mesh has no extent in one direction.
         span = np.maximum(array.max(axis=0) - low, 1e-9)
         place = self.add(np.round((array - low) / span * _TOP).astype(np.uint16))
         return {**place, "low": low.tolist(), "span": span.tolist()}
@@ -247,9 +251,12 @@ def _poses(
     pos = np.stack([pose.pos[bodies] for pose in poses])
     quat = np.stack([pose.quat[bodies] for pose in poses])
     low = pos.reshape(-1, 3).min(axis=0)
+    # One scale for all axes, so that the page needs one number.
     span = float(np.ptp(pos.reshape(-1, 3), axis=0).max()) + 1e-9
     whole = np.concatenate(
-        [np.round((pos - low) / span * _TOP), np.round((quat + 1.0) / 2.0 * _TOP)], axis=2
+        [np.round((pos - low) / span * _TOP), np.round((quat + 1.0) / 2.0 * _TOP)],
+        axis=2,
+        # Differences wrap around in uint16, and the sum in the page wraps back.
     ).astype(np.uint16)
     change = np.diff(whole, axis=0, prepend=np.zeros_like(whole[:1]))
     # Transposed, so that the differences of one coordinate are adjacent.

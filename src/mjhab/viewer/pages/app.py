@@ -85,6 +85,7 @@ class Viewer:
                 self._server.get_port(), host, port, self._hear, source.hand_gone
             )
         except BaseException:
+            # Its threads would keep the process alive.
             self._stop_server()
             raise
         self.port = self._gateway.port
@@ -103,6 +104,7 @@ class Viewer:
             on=self._start.letting_go(self.playhead.callbacks()),
         )
         self._cameras = CameraThread(self.panels.show_images) if cameras else None
+        # Playing slowly shows many frames between the same two states.
         self._poses = _PoseCache()
         self._scene: tuple[CpuSimulator, RenderScene] | None = None
         self._shown: Track | None = None
@@ -153,6 +155,7 @@ class Viewer:
             try:
                 begun = time.thread_time()
                 pose = self.frame(now - last)
+                # Of this thread: the worlds run in others.
                 self.frame_cpu_s += time.thread_time() - begun
                 if pose is not None and now - cameras_at > CAMERA_SECONDS:
                     cameras_at = now
@@ -164,6 +167,7 @@ class Viewer:
             except Exception as error:
                 self.problem = f"{type(error).__name__}: {error}"
                 self.panels.show_problem(self.problem)
+                # An error comes back at every frame, and would fill the log.
                 time.sleep(1.0)
             last = now
             time.sleep(max(0.0, FRAME_SECONDS - (time.perf_counter() - now)))
@@ -183,6 +187,7 @@ class Viewer:
         sim = self.source.sim
         pose = self._poses.at(sim, track, head.now)
         if track is not self._shown:
+            # Sending a home takes a second, and the next episode is often in the same one.
             if not self._shows(sim.layout, track.home):
                 self.stage.show(self._home(sim, track.home), pose)
                 self._aim(pose, sim, track.home)
@@ -232,6 +237,7 @@ class Viewer:
         self._base = base
         if self.panels.follows and np.abs(moved).max() > MIN_MOVE:
             for client in self._server.get_clients().values():
+                # Moved along and not aimed anew, so that the view that somebody has turned stays.
                 client.camera.position = client.camera.position + moved
 
     def _mark(self, track: Track, step: int, pose: PosedWorld, sim: CpuSimulator) -> None:

@@ -75,17 +75,20 @@ class Gateway:
         self._end = asyncio.Event()
         self._thread = threading.Thread(target=self._run, name="gateway", daemon=True)
         self._thread.start()
+        # So that the port is known, and an error raised, when this returns.
         self._ready.wait(START_SECONDS)
         if self._problem is not None:
             raise self._problem
 
     def tell(self, message: str) -> None:
         """Send a message to `hand.js` of every page, and of pages that are opened later."""
+        # Kept for pages that are opened later.
         self._hand_state = message
         self._loop.call_soon_threadsafe(self._tell)
 
     def close(self) -> None:
         """Stop listening."""
+        # The loop may have ended by itself.
         with suppress(RuntimeError):
             self._loop.call_soon_threadsafe(self._end.set)
         self._thread.join(timeout=2.0)
@@ -142,6 +145,7 @@ class Gateway:
                 else connection.respond(403, "another origin\n")
             )
         path = request.path
+        # In a thread: a blocking call would hold up all pages.
         status, kind, body = await asyncio.to_thread(self._read, path)
         if kind.startswith("text/html"):
             body = with_script(body)
@@ -176,6 +180,7 @@ class Gateway:
             pass
         finally:
             self._hands.discard(connection)
+            # Another page may still be open.
             if not self._hands:
                 self._on_hand_gone()
 
@@ -190,6 +195,7 @@ class Gateway:
                 asyncio.create_task(_pump(inside, outside)),
             ]
             _, open_pumps = await asyncio.wait(pumps, return_when=asyncio.FIRST_COMPLETED)
+            # One end is gone: what the other sends has nobody to go to.
             for pump in open_pumps:
                 pump.cancel()
             await asyncio.gather(*pumps, return_exceptions=True)

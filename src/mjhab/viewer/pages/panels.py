@@ -33,6 +33,7 @@ SPEEDS = {
     "2×": 2.0,
     "as fast as it can": math.inf,
 }
+# More than a curve of 320 px can show.
 MAX_PLOT_POINTS = 500
 SIDE_WIDTH_PX = 320
 TIMELINE_WIDTH_PX = WIDTH
@@ -280,6 +281,7 @@ class Panels:
         """Fill all widgets that depend on the episode and the state at index ``step``."""
         moment = track.moments[step]
         key = (id(track), track.last, step, track.over, len(track.events))
+        # The panels are filled eight times a second, mostly with what they show already.
         if key == self._drawn:
             return
         if self._drawn[:2] != key[:2]:
@@ -306,8 +308,10 @@ class Panels:
         rows = np.unique(np.linspace(0, track.last, MAX_PLOT_POINTS).astype(int))
         moments = [track.moments[row] for row in rows]
         limits = np.array([track.limit_at(int(row)) for row in rows])
+        # uPlot leaves a gap for nan, and draws nothing at all for infinity.
         limits[np.isinf(limits)] = np.nan
         steps = rows.astype(float)
+        # A curve needs two points.
         if len(steps) < 2:
             return
         self._force_plot.data = (steps, np.array([m.robot_force for m in moments]))
@@ -327,6 +331,7 @@ def _when_changed(handle: Any, tell: Callable[[Any], object]) -> None:
 
 
 def _fill(handle: Any, content: str) -> None:
+    # Each assignment is a message to all pages.
     if handle.content != content:
         handle.content = content
 

@@ -58,6 +58,7 @@ class Playhead:
         moved = seconds * self._source.pace.speed / STEP_SECONDS
         if self.following:
             newest = float(max(track.last, 0))
+            # Never ahead of the newest state, and never far behind: frames come at another rate than steps.
             self.now = min(max(self.now + moved, newest - MAX_LAG_STEPS), newest)
         elif self._playing:
             self.now = min(self.now + moved, float(track.last))

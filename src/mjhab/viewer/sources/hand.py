@@ -83,11 +83,13 @@ class HandControl:
         try:
             now = read_input(message)
         except (ValueError, TypeError, OverflowError):
+            # A page of another version must not leave the robot driving.
             now = HandInput()
         self.take(now)
 
     def take(self, now: HandInput) -> None:
         """Take the state of keys and gamepad, which holds for `SILENCE_SECONDS`."""
+        # On the press alone: the message repeats while the key is held.
         if now.gripper and not self._was_pressed:
             self.toggle_gripper()
         self._was_pressed = now.gripper
@@ -159,6 +161,7 @@ class HandControl:
         for column, entry in enumerate(env.action_table):
             if column < gripper:
                 (joint,) = self._robot.columns_of((entry.joint,))
+                # The mode of policies takes differences from the measured joints.
                 action[column] = (target[joint] - q[0, joint]) / entry.high
             elif column == gripper:
                 action[column] = self.gripper
@@ -180,6 +183,7 @@ class HandControl:
     def _hand_move(self, wish: Mapping[str, float]) -> np.ndarray:
         """Entries (6,) of an action of `HAND_MODE` that move the gripper as keys say, or else towards `aim`."""
         move = np.array([wish[name] for name in _HAND_MOTIONS], np.float32)
+        # A key is newer than the pose that was told before.
         if move.any():
             self._aim = None
         aim = self._aim
@@ -199,7 +203,9 @@ class HandControl:
         way = self._robot.rest[arm] - q[0, arm]
         way = np.where(np.isfinite(limits[:, 0]), way, wrap(way))
         target = q[0].copy()
+        # All joints in proportion, so that they arrive together.
         target[arm] += way / max(1.0, np.abs(way).max() / self._arm.limits.joint_delta)
+        # The next key starts from here, not from where the arm was sent before.
         self._arm.set_state(0, {_TARGET: target[arm]})
         self._aim = None
         return target

@@ -114,6 +114,7 @@ def read_input(message: str) -> HandInput:
             sums[motion] += direction
     for axis, motion, direction in STICKS:
         value = float(axes[axis]) if axis < len(axes) else 0.0
+        # Sticks do not come back to exactly 0.
         sums[motion] += direction * value * (abs(value) > DEAD_ZONE)
     for button, (motion, direction) in BUTTONS.items():
         sums[motion] += direction * (
@@ -123,7 +124,10 @@ def read_input(message: str) -> HandInput:
     if not np.isfinite(list(sums.values())).all():
         raise ValueError("axes and buttons of the hand are finite numbers")
     motions = {
-        name: float(np.clip(value, -1.0, 1.0)) for name, value in sums.items() if value
+        # A key and a stick together are no faster than one.
+        name: float(np.clip(value, -1.0, 1.0))
+        for name, value in sums.items()
+        if value
     }
     return HandInput(
         motions,

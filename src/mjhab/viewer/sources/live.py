@@ -39,6 +39,7 @@ CUT_SECONDS = 10.0
 """Longest wait for the last episode to be recorded when the session is closed [s]."""
 CLOSE_SECONDS = 30.0
 """Longest wait for the thread of the worlds to end [s]."""
+# A rollout has an end, and a session nearly none.
 EPISODES_AHEAD = 1000
 """Number of episodes of one rollout."""
 
@@ -137,12 +138,15 @@ class LiveSession:
         runs = self.track is not None and not self.track.over and not self._failed
         if self._writer is not None and runs and self._human_acted(self.watched):
             self.finish_episode()
+            # The last episode is written on the thread of the worlds.
             self._cut_done.wait(CUT_SECONDS)
         self._closing = True
         self.pace.wake()
+        # Never started: nobody else would close the shard.
         if self._thread.ident is None:
             self._release()
         elif self._thread.is_alive():
+            # A policy may be planning; the process must end all the same.
             self._thread.join(timeout=CLOSE_SECONDS)
 
     @property
@@ -255,6 +259,7 @@ class LiveSession:
             self._cut_done.clear()
             self._cuttable.cut[self.watched] = True
             if not self.pace.playing:
+                # A paused world would never make the step in which the cut takes place.
                 self.pace.step_once()
 
     def ask(self, *, policy: str | None = None, first: int | None = None) -> None:
@@ -264,10 +269,12 @@ class LiveSession:
             now.policy if policy is None else policy,
             now.first if first is None else first,
         )
+        # Who asks for something wants to see it.
         self.pace.play(True)
 
     def do(self, job: Callable[[LiveSession], object]) -> None:
         """Call a function between two control steps, on the thread of the worlds."""
+        # The environment belongs to one thread.
         self._jobs.put(job)
         self.pace.wake()
 
@@ -281,6 +288,7 @@ class LiveSession:
         if self.switch is not None:
             self.switch.give_back()
         full, options = self._needs(spec)
+        # Other observations need another environment.
         if self.switch is None or self._failed or options != self._options:
             self.ask(policy=spec, first=self._first_for(self._index()))
             return
@@ -473,6 +481,7 @@ class _Follower(Sink[SequentialTaskEnv]):
         extend_tracks(session.tracks, env, step)
         session.steps += 1
         session.follow_plan()
+        # At its end `on_episode_end` waits, once the record is written.
         if not step.done[session.watched]:
             self._wait()
 

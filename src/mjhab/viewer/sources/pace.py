@@ -49,6 +49,7 @@ class RealTimeClock:
         """Set the simulated seconds per second of real time."""
         with self._changed:
             self._speed = speed
+            # Without it a long pause would be made up for in a rush.
             self._due = time.perf_counter()
             self._changed.notify_all()
 

@@ -63,6 +63,7 @@ class ExpertPlanOverlay:
         # Some scripts have a plan only after some control steps.
         if self.marks is None and self._tries < PLAN_STEPS:
             self._tries += 1
+            # Its action is dropped: asking for one lets the script go on to its plan.
             self._adviser.act_in({}, {}, here)
         return self._adviser.script(world)
 
@@ -80,6 +81,7 @@ class RecordedPlans:
     def __init__(self, reading: threading.Lock) -> None:
         self.problem = ""
         self._reading = reading
+        # One thread, because an environment is of one at a time.
         self._pool = ThreadPoolExecutor(1, "plans")
         self._envs = RecordedEnvs()
         self._known: dict[tuple[str, str, int], Future[PlanMarks | None]] = {}
@@ -105,6 +107,7 @@ class RecordedPlans:
 
     def close(self) -> None:
         """Close the environments after the current computation."""
+        # Before the environments are closed that it works in.
         self._pool.shutdown(cancel_futures=True)
         self._envs.close()
 

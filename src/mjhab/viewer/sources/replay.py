@@ -21,6 +21,7 @@ from mjhab.viewer.sources.plan_overlay import RecordedPlans
 from mjhab.viewer.sources.recorded_envs import RecordedEnvs
 from mjhab.viewer.sources.track import Track, recorded_track
 
+# A menu of more cannot be used, and reading their heads takes seconds.
 MAX_LISTED = 2000
 """Largest number of episodes listed."""
 

@@ -65,6 +65,7 @@ class PolicySwitch:
         """
         self.policy(spec)
         self._chosen = spec
+        # A policy that did not act has an old history.
         self._due[:] = True
 
     def take_over(self, hand: HandControl, world: int) -> None:
@@ -80,6 +81,7 @@ class PolicySwitch:
     def give_back(self) -> None:
         """Let the chosen policy act everywhere again."""
         if self.hand_world is not None:
+            # The state is none that the policy has brought about.
             self._due[self.hand_world] = True
         self.hand_world = None
 
@@ -99,6 +101,7 @@ class PolicySwitch:
         if self._due.any():
             policy.reset(self._due)
             self._due = np.zeros_like(self._due)
+        # A copy: the hand's action is written into it.
         actions = np.array(policy.act(obs, info), np.float32)
         notes = policy.notes() if isinstance(policy, Annotated) else None
         if notes is None:

@@ -45,6 +45,7 @@ class Cuttable:
         """Take one control step as `SequentialTaskEnv.step`, with ``truncated`` set in the worlds of ``cut``."""
         obs, reward, terminated, truncated, info = self.inner.step(actions)
         truncated = truncated | self.cut
+        # A cut is for one step.
         self.cut = np.zeros_like(self.cut)
         return obs, reward, terminated, truncated, info
 
@@ -92,6 +93,7 @@ class TakeRecorder(Recorder):
 
     def on_episode_end(self, env: RecordedEnv, world: int, record: EpisodeRecord) -> None:
         """See `Recorder`."""
+        # Set before the recorder looks: the run's name is part of the episode's.
         self.run = self._run_of(self._acted.pop(world), bool(env.progress.done[world]))
         super().on_episode_end(env, world, record)
 
@@ -99,6 +101,7 @@ class TakeRecorder(Recorder):
         if is_whole and acted == {self._policy["name"]}:
             return self._alone
         name = HUMAN if HUMAN in acted else "+".join(sorted(acted))
+        # A person never does the same twice, so that seed and index do not identify it.
         take = f"{time.strftime('%Y%m%dT%H%M%S')}-{secrets.token_hex(3)}"
         about: dict[str, Any] = {"name": name, "actors": sorted(acted), "take": take}
         if name == HUMAN and self._policy["name"] in acted:

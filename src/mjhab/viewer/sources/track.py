@@ -149,6 +149,7 @@ def recorded_track(episode: RecordedEpisode, config: TaskConfig) -> Track:
             float(robot_force[t]),
             float(cumulative[t]),
             checks[t],
+            # Rewards belong to actions, and the first state has none before it.
             float(reward[t - 1]) if t else 0.0,
             {name: float(values[t - 1]) for name, values in terms.items()} if t else {},
             actors[int(actor[t - 1])] if t else "",

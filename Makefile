@@ -9,7 +9,7 @@ DEMO_OUT := runs/demo
 DEMO_STUDENT_OUT := runs/demo-student
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo demo-student test test-unit test-generate test-sentences test-lerobot test-lerobot-env test-vla-eval test-ray test-sb3 test-skrl test-maniskill test-mshab test-rsl-rl test-rllib test-browser release-check docs check check-static format bench gpu-report clean distclean test-docs test-panda test-torchrl gpu-train docs-media
+.PHONY: help setup demo demo-student test test-unit test-generate test-sentences test-lerobot test-lerobot-env test-vla-eval test-rlinf test-ray test-sb3 test-skrl test-maniskill test-mshab test-rsl-rl test-rllib test-browser release-check docs check check-static format bench gpu-report clean distclean test-docs test-panda test-torchrl gpu-train docs-media
 
 help:  ## show this list
 	@grep -hE '^[a-z0-9-]+:.*## ' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-16s %s\n", $$1, $$2}'
@@ -101,6 +101,18 @@ $(VLA)/.ready: $(SETUP_FILES)
 
 test-vla-eval: $(VLA)/.ready  ## run episodes with the real vla-eval package
 	$(VLA)/bin/python tests/integrations/check_vla_eval.py
+
+# RLinf asks for the libraries of its trainers, too; its environment worker needs these.
+RLINF := .venv-rlinf
+$(RLINF)/.ready: $(SETUP_FILES) | $(BIN)/python
+	@echo "mjhab: installing RLinf into $(RLINF), once"
+	@"$(PYTHON)" -m venv $(RLINF)
+	@$(RLINF)/bin/python -m pip install -q --disable-pip-version-check -c constraints.txt -e '.[learn,scale]' omegaconf regex 'imageio[ffmpeg]'
+	@$(RLINF)/bin/python -m pip install -q --disable-pip-version-check --no-deps rlinf==0.3.0
+	@touch $@
+
+test-rlinf: $(RLINF)/.ready  ## a rollout and an evaluation by the environment worker of the real RLinf package
+	$(RLINF)/bin/python tests/integrations/check_rlinf.py
 
 # lerobot 0.6 needs Python 3.12: make PYTHON=python3.12 test-lerobot-env
 LEROBOT_ENV := .venv-lerobot-env

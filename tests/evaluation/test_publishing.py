@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from mjhab.core.files.reading import read_json_object
+from mjhab.data.select.own_state import base_velocity
 from mjhab.data.store.places import entries, episodes
 from mjhab.evaluation import generate as library
 from mjhab.evaluation.publishing.about import ABOUT, command_of
@@ -115,6 +116,16 @@ def test_the_record_tells_what_the_episodes_have(made: MadeDataset) -> None:
     np.testing.assert_allclose(told, actions.mean(axis=0), atol=2e-6)
     spread = np.array([each["std"] for each in about["actions"]])
     np.testing.assert_allclose(spread, actions.std(axis=0), atol=1e-4)
+    base = np.concatenate([base_velocity(episode) for episode in recorded])
+    told = about["base_velocity"]
+    assert [(each["name"], each["unit"]) for each in told] == [
+        ("base_vel.forward", "m/s"),
+        ("base_vel.left", "m/s"),
+        ("base_vel.yaw", "rad/s"),
+    ]
+    np.testing.assert_allclose(
+        [each["mean"] for each in told], base.mean(axis=0), atol=2e-6
+    )
     assert about["sentences"]["wordings"] == 4
     assert about == read_json_object(made.path / ABOUT)
 
@@ -127,6 +138,7 @@ def test_the_card_says_what_a_user_must_know(made: MadeDataset) -> None:
         "mjhab dataset make ms_hab_7",
         "| set_table.pick.024_bowl |",
         "| val |",
+        "| base_vel.left | m/s | base of the robot |",
         *ROWS,
     ):
         assert word in text

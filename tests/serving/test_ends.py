@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import threading
 import urllib.request
 from collections.abc import Callable, Iterator
@@ -152,6 +153,71 @@ def test_late_answers_errors_and_odd_answers_are_faults() -> None:
 
         with scripted(handle) as port, pytest.raises(PolicyFault):
             Connection(address(port)).ask([an_ask()], True)
+
+
+def test_an_answer_that_comes_twice_is_not_taken_for_the_next() -> None:
+    requests = iter(range(10))
+
+    def handle(connection: ServerConnection) -> None:
+        connection.send(pack({}))
+        for _ in connection:
+            number = next(requests)
+            answer = pack({"actions": np.full((1, 13), number, np.float32)})
+            for _ in range(2 if number == 1 else 1):
+                connection.send(answer)
+
+    with scripted(handle) as port:
+        connection = Connection(address(port))
+        assert [connection.ask([an_ask()], False).max() for _ in range(2)] == [0, 1]
+        assert connection._socket is not None
+        # What was sent before the pong has come.
+        assert connection._socket.ping().wait(5.0)
+        with pytest.raises(PolicyFault, match="no request asked for, such as an answer"):
+            connection.ask([an_ask()], False)
+        assert connection.ask([an_ask()], False).max() == 2
+        connection.close()
+
+
+def test_a_late_answer_is_not_taken_for_the_next() -> None:
+    asked = threading.Event()
+    requests = iter(range(10))
+
+    def handle(connection: ServerConnection) -> None:
+        connection.send(pack({}))
+        with suppress(ConnectionClosed):
+            for _ in connection:
+                number = next(requests)
+                if number == 0:
+                    asked.wait(5.0)
+                connection.send(pack({"actions": np.full((1, 13), number, np.float32)}))
+
+    with scripted(handle) as port:
+        connection = Connection(address(port))
+        with pytest.raises(PolicyFault, match="no answer within"):
+            connection.ask([an_ask()], False)
+        asked.set()
+        assert connection.ask([an_ask()], False).max() == 1
+        connection.close()
+
+
+@pytest.mark.parametrize("step", [4, 5])
+def test_an_answer_for_an_earlier_step_is_to_another_request(step: int) -> None:
+    def handle(connection: ServerConnection) -> None:
+        connection.send(pack({}))
+        connection.recv()
+        connection.send(pack({"actions": np.zeros((1, 13), np.float32), "step": step}))
+
+    timing = {"step": 5, "hz": 20.0, "delay": 1}
+    ask = dataclasses.replace(an_ask(), timing=timing)
+    with scripted(handle) as port:
+        connection = Connection(address(port))
+        if step == 5:
+            connection.ask([ask], False)
+            assert connection.first_step == step
+        else:
+            with pytest.raises(PolicyFault, match=r"for control step 4, before .* 5"):
+                connection.ask([ask], False)
+        connection.close()
 
 
 @pytest.mark.parametrize("dialect", sorted(DIALECTS))

@@ -135,6 +135,7 @@ class Connection:
     def _exchange(self, asks: Sequence[Ask], begins: bool) -> np.ndarray:
         socket = self._socket
         assert socket is not None
+        self._refuse_unasked(socket)
         beginning = self._dialect.begin(asks[0].session) if begins else None
         if beginning is not None:
             socket.send(pack(beginning))
@@ -149,7 +150,21 @@ class Connection:
         self._asked = True
         self._patience.answered()
         self.latency_ms.append(1e3 * (time.perf_counter() - started))
-        return self._actions(message, len(asks))
+        return self._actions(message, asks)
+
+    def _refuse_unasked(self, socket: ClientConnection) -> None:
+        """Refuse a message that came before the request: taken for its answer, actions would be those of another time.
+
+        Raises:
+            PolicyFault: there was one.
+        """
+        with suppress(TimeoutError):
+            message = socket.recv(0)
+            self.close()
+            said = f": {_said(message)}" if isinstance(message, str) else ""
+            raise PolicyFault(
+                f"the server sent what no request asked for, such as an answer twice{said}"
+            )
 
     def _receive(self) -> str | bytes:
         """The next message, waited for as long as the server may be at work.
@@ -191,15 +206,15 @@ class Connection:
             self.close()
             raise PolicyFault(f"the server did not begin an episode: {_said(answer)}")
 
-    def _actions(self, message: str | bytes, batch: int) -> np.ndarray:
+    def _actions(self, message: str | bytes, asks: Sequence[Ask]) -> np.ndarray:
         if isinstance(message, str):
             self.close()
             raise PolicyFault(f"the server reports an error: {_said(message)}")
         answer: Any = None
         try:
             answer = unpack(message)
-            actions = self._dialect.actions(answer, batch)
-            self.first_step = _first_step(answer)
+            actions = self._dialect.actions(answer, len(asks))
+            self.first_step = _first_step(answer, asks)
         except ProtocolError as error:
             self.close()
             other = answered_in(answer)
@@ -358,17 +373,22 @@ class Connection:
         return metadata
 
 
-def _first_step(answer: Any) -> int | None:
+def _first_step(answer: Any, asks: Sequence[Ask]) -> int | None:
     """The control step that the first action of an answer is for, if it says so.
 
     Raises:
-        ProtocolError: it is no number of a step.
+        ProtocolError: it is no number of a step, or one before the observation: the answer is to another request.
     """
     step = answer.get(STEP) if isinstance(answer, Mapping) else None
     if step is None:
         return None
     if isinstance(step, bool) or not isinstance(step, int | np.integer) or step < 0:
         raise ProtocolError(f"{STEP!r} is the number of a control step, not {step!r:.80}")
+    asked = min((ask.timing[STEP] for ask in asks if ask.timing), default=0)
+    if step < asked:
+        raise ProtocolError(
+            f"the answer is for control step {step}, before that of the observation, {asked}: it is to another request"
+        )
     return int(step)
 
 

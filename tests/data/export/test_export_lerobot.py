@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import h5py
 import imageio_ffmpeg
 import numpy as np
 import pyarrow as pa
@@ -20,15 +21,16 @@ from mjhab.data.export.lerobot.export import Exported
 from mjhab.data.export.lerobot.features import FPS, Choice
 from mjhab.data.export.lerobot.parts import FilmTools
 from mjhab.data.export.lerobot.stats import aggregate, image_stats, vector_stats
+from mjhab.data.export.outside import Outside
 from mjhab.data.select.clouds import Clouds
 from mjhab.data.select.describing import state_names, subtask_words
-from mjhab.data.select.own_state import split_state
+from mjhab.data.select.own_state import base_velocity, split_state
 from mjhab.data.select.query import Filter
 from mjhab.data.store.images import ImageFormat
 from mjhab.data.store.places import episodes
 from mjhab.data.store.reading import RecordedEpisode
 from mjhab.render.film import FilmWriter, join_films
-from tests.data.export.exporting import to_lerobot
+from tests.data.export.exporting import to_lerobot, to_maniskill
 from tests.data.fake_world import SIZE, FakeEnv
 from tests.data.make import chains_and_picks, record
 from tests.refusals import refused
@@ -380,6 +382,18 @@ def test_pixels_of_the_floor_lie_on_the_floor_by_what_the_export_says(
     assert np.array(rows["observation.pointcloud"].to_pylist()).shape == (2, 50, 6)
     (episode,) = episodes(tmp_path / "a.h5")
     check_clouds(episode, env.layout.robot.base_height)
+    height = env.layout.robot.base_height
+    outside = Outside(base_height=lambda _: height)
+    done = to_maniskill(tmp_path / "a.h5", tmp_path / "h5", points=50, outside=outside)
+    with h5py.File(done.files[0]) as file:
+        trajectory: Any = file["traj_0"]
+        clouds = trajectory["obs/pointcloud"][()]
+        np.testing.assert_array_equal(
+            trajectory["base_velocity"][()], base_velocity(episode)
+        )
+    assert clouds.shape == (3, 50, 6) and clouds.dtype == np.float32
+    expected = Clouds(episode, 50, height)
+    np.testing.assert_array_equal(clouds, [expected.at(t) for t in range(3)])
     names = json.loads((tmp_path / "set/meta/segments.json").read_text())
     camera = json.loads((tmp_path / "set/meta/cameras.json").read_text())["fetch_head"]
     depth, seg, pose = (

@@ -19,6 +19,7 @@ from mjhab.data.export.lerobot import files as layout
 from mjhab.data.export.lerobot.features import Choice
 from mjhab.data.export.lerobot.parts import FilmTools
 from mjhab.data.record.recorder import Recorder
+from mjhab.data.select.own_state import base_velocity
 from mjhab.data.store.images import ImageFormat
 from mjhab.data.store.places import episodes
 from mjhab.data.store.shard import ShardWriter
@@ -71,6 +72,9 @@ def test_splits_states_skills_and_wordings(source: Path, tmp_path: Path) -> None
         wanted = np.concatenate([e.array(path)[: e.steps] for e in order])
         np.testing.assert_array_equal(np.stack(rows[name]), wanted)
     assert "observation.environment_state" not in info["features"]
+    wanted = np.concatenate([base_velocity(e)[: e.steps] for e in order])
+    np.testing.assert_array_equal(np.stack(rows["base_velocity"]), wanted)
+    assert info["features"]["base_velocity"]["names"] == ["forward", "left", "yaw"]
     skills = pq.read_table(tmp_path / "set/meta/skills.parquet").to_pydict()
     names = skills["__index_level_0__"]
     told = [names[k] for k in rows["skill_index"]]
@@ -93,6 +97,7 @@ def test_splits_states_skills_and_wordings(source: Path, tmp_path: Path) -> None
         "license: apache-2.0",
         "`language_persistent`",
         "val",
+        "`base_velocity`",
         "LeRobotDataset(",
     ):
         assert word in card

@@ -13,6 +13,9 @@ CONVENTIONS: dict[str, str] = {
     "round): column u = fx * x / z + cx, row v = fy * y / z + cy from the upper left corner of the image; centres of "
     "pixels are at + 0.5",
     "depth": "mm along the optical axis (z of OpenCV), 0 where nothing is hit",
+    "points": "x, y, z [m] in the frame of the robot's base link (x forward, y left, z up), then red, green, blue in "
+    "0..1",
+    "base_velocity": "of the base in its own frame: forward, left [m/s], turning rate [rad/s]",
     "segmentation": "id of what a pixel shows; its name is at that place in the list of segments, 0 is background",
 }
 """What a reader has to know of the numbers, by topic."""

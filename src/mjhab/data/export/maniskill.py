@@ -3,9 +3,10 @@
 The files are ``<out>/<task>/<subtask>/<target>.h5`` with a ``.json`` each, as mshab/envs/wrappers/record.py writes
 them. MS-HAB's scripts concatenate the members of ``obs/agent`` and then ``obs/extra`` in the order of the HDF5 groups,
 so these keep the order of mjhab's ``obs/state``. They train on ``actions``, the executed actions. ``actions_intended``,
-``actor`` (an index into "actors" of the ``.json``) and ``intervention`` are additional datasets, ``env_states`` and
-``info`` those of `maniskill_states`. The pose of the object is in the axes of its scan ("object_axes" of the ``.json``:
-"scan"), except for runs of older versions, which lack them ("object").
+``actor`` (an index into "actors" of the ``.json``), ``intervention``, ``base_velocity`` and, on demand,
+``obs/pointcloud`` are additional datasets, ``env_states`` and ``info`` those of `maniskill_states`. The pose of the
+object is in the axes of its scan ("object_axes" of the ``.json``: "scan"), except for runs of older versions, which
+lack them ("object").
 The ``.json`` lists successful episodes first; "episode_id" is the number of the trajectory.
 """
 
@@ -33,6 +34,7 @@ from mjhab.core.files.reading import read_json_object
 from mjhab.core.names import below
 from mjhab.data.export.maniskill_json import control_mode, episode_info, file_info
 from mjhab.data.export.maniskill_states import Roots, env_states, infos, no_roots
+from mjhab.data.export.outside import Outside
 from mjhab.data.export.request import ExportRequest
 from mjhab.data.export.staging import ExportTarget, whole_folder
 from mjhab.data.imports.ms_hab_layout import (
@@ -40,9 +42,11 @@ from mjhab.data.imports.ms_hab_layout import (
     TRAJECTORY,
     TRUTHS,
 )
+from mjhab.data.select.clouds import Clouds
 from mjhab.data.select.describing import teleported_steps
 from mjhab.data.select.facts import target_of
 from mjhab.data.select.interventions import intervention_steps
+from mjhab.data.select.own_state import base_velocity, tells_base_velocity
 from mjhab.data.select.sets import check_outside, nothing_passes, select
 from mjhab.data.select.until import Until
 from mjhab.data.store.damage import refuse_damage
@@ -59,6 +63,10 @@ CHAIN = "sequential_task"
 _OF_MANISKILL = {own: name for name, own in AS_MANISKILL.items()}
 _GZIP = 5
 """Compression level of images, as in MS-HAB."""
+POINTS = "pointcloud"
+"""Points (T+1, P, 6) of the observations, see `clouds.CHANNELS`; MS-HAB's scripts do not read them."""
+BASE_VELOCITY = "base_velocity"
+"""(T+1, 3), beside the observations, whose 42 numbers lack it, since the scripts join all of these."""
 
 
 @dataclass(frozen=True)
@@ -77,6 +85,8 @@ def write_maniskill(
     until: Until | None = None,
     begin: Callable[[int], Callable[[], object]] | None = None,
     roots: Roots = no_roots,
+    points: int = 0,
+    outside: Outside | None = None,
 ) -> ManiSkillSet:
     """Write the episodes that pass the filter as trajectory files, atomically in one folder.
 
@@ -86,9 +96,12 @@ def write_maniskill(
         until: end of the exported part of each episode; None exports whole episodes.
         begin: called with the number of episodes; returns a function that is called after each episode.
         roots: where robot and furniture stand.
+        points: number of points of a cloud, 0 for none.
+        outside: what other packages tell.
 
     Raises:
-        UsageError, StorageError: no episode passes; the folder lies in a source; see ``whole_folder``.
+        UsageError, StorageError: no episode passes; the folder lies in a source; an episode lacks images of which
+            points are made; see ``whole_folder``.
         DamagedError: an episode is damaged, or holds numbers that are not finite.
     """
     # An output inside the source would be read as a source by the next export.
@@ -102,11 +115,17 @@ def write_maniskill(
         files[place_of(record)].append(member)
     target = ExportTarget(request.out, _foreign, request.overwrite, request.resume)
     until = until or Until()
-    job = {"format": "maniskill", "episodes": found.fingerprint, "until": until.text}
+    job = {
+        "format": "maniskill",
+        "episodes": found.fingerprint,
+        "until": until.text,
+        "points": points,
+    }
+    asked = _Asked(until, roots, points, outside or Outside())
     frames = without = 0
     with whole_folder(target, job) as staging:
         for place, members in files.items():
-            file = _File(below(staging.root, place), until, roots)
+            file = _File(below(staging.root, place), asked)
             file.write(members, after)
             frames += file.frames
             without += file.without_depth
@@ -150,13 +169,22 @@ def _is_exported(path: Path) -> bool:
     return metadata.get("source_type") == SOURCE_TYPE
 
 
+@dataclass(frozen=True)
+class _Asked:
+    """What to write of every episode; see `write_maniskill`."""
+
+    until: Until
+    roots: Roots
+    points: int
+    outside: Outside
+
+
 class _File:
     """A trajectory file; one that an interrupted export has finished stays as it is."""
 
-    def __init__(self, path: Path, until: Until, roots: Roots) -> None:
+    def __init__(self, path: Path, asked: _Asked) -> None:
         self._path = path
-        self._until = until
-        self._roots = roots
+        self._asked = asked
         self._episodes: list[dict[str, Any]] = []
         self._runs: dict[str, Any] = {}
         self.frames = self.without_depth = 0
@@ -184,13 +212,14 @@ class _File:
             with open_shard(path) as shard:
                 episode = shard.episode(name)
                 refuse_damage(episode)
-                steps = self._until.steps(episode.array("reward/success"))
+                steps = self._asked.until.steps(episode.array("reward/success"))
                 if file is not None:
                     # MS-HAB's scripts concatenate the state in the order of the file, and h5py sorts by name
                     # without it.
                     group = file.create_group(f"{TRAJECTORY}{number}", track_order=True)
                     _put(group, episode, steps)
-                    places = self._roots(episode.run, episode.record.home)
+                    self._put_clouds(group, episode, steps + 1)
+                    places = self._asked.roots(episode.run, episode.record.home)
                     states = env_states(episode, steps + 1, places)
                     _put_tree(group, "env_states", states.items())
                     told = infos(episode, steps + 1, places)
@@ -204,6 +233,13 @@ class _File:
                 )
             if after is not None:
                 after()
+
+    def _put_clouds(self, group: h5py.Group, episode: RecordedEpisode, rows: int) -> None:
+        if not self._asked.points:
+            return
+        height = self._asked.outside.base_height(episode.run)
+        clouds = Clouds(episode, self._asked.points, height)
+        subgroup(group, "obs")[POINTS] = np.stack([clouds.at(t) for t in range(rows)])
 
     def _describe(self) -> None:
         """Write the JSON file with the metadata of the trajectories."""
@@ -232,6 +268,8 @@ def _put(group: h5py.Group, episode: RecordedEpisode, steps: int) -> None:
     group["rewards"] = episode.array("reward/total")[:steps].astype(np.float32)
     group["intervention"] = intervention_steps(episode)[:steps]
     group["is_teleported"] = teleported_steps(episode)[:steps]
+    if tells_base_velocity(episode):
+        group[BASE_VELOCITY] = base_velocity(episode)[: steps + 1]
 
 
 def _put_tree(

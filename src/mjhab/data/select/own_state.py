@@ -36,7 +36,7 @@ def split_state(episode: RecordedEpisode) -> SplitState:
     parts = {
         key: values.reshape(len(values), -1) for key, values in _parts(episode).items()
     }
-    if BASE_VELOCITY not in parts and "states/qvel" in episode.paths:
+    if BASE_VELOCITY not in parts and tells_base_velocity(episode):
         parts[BASE_VELOCITY] = base_velocity(episode)
     own = {key: parts[key] for key in OWN_KEYS if key in parts}
     return SplitState(
@@ -47,6 +47,11 @@ def split_state(episode: RecordedEpisode) -> SplitState:
 def _parts(episode: RecordedEpisode) -> dict[str, np.ndarray]:
     """The named parts of ``obs/state``; all of it as "state" if the parts have no names."""
     return episode.table("obs/state") or {"state": episode.array("obs/state")}
+
+
+def tells_base_velocity(episode: RecordedEpisode) -> bool:
+    """Whether an episode has what `base_velocity` computes; what was imported has no states."""
+    return "states/qvel" in episode.paths
 
 
 def base_velocity(episode: RecordedEpisode) -> np.ndarray:

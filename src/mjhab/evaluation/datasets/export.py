@@ -153,7 +153,14 @@ def run_maniskill(spec: ManiskillSpec, begin: Begin | None = None) -> ManiSkillS
         UsageError, StorageError, DamagedError: see `export_maniskill`.
     """
     until = Until.parse(spec.until)
-    return write_maniskill(_request(spec), until=until, begin=begin, roots=roots_of)
+    return write_maniskill(
+        _request(spec),
+        until=until,
+        begin=begin,
+        roots=roots_of,
+        points=spec.points,
+        outside=Outside(base_height=base_height),
+    )
 
 
 def film_frames(path: Path) -> Iterator[np.ndarray]:

@@ -117,6 +117,9 @@ class ExportSpec(SelectedSpec):
         str, Flag(metavar="end|success|success+N", shown="default: all of it")
     ] = ""
     """How much of an episode: success+N ends it N control steps after its first success."""
+    points: Annotated[int, Bound(most=100_000)] = 0
+    """Number of points of a cloud with colours in the frame of the base, made of the colour and depth images; 0 for
+    none."""
     overwrite: bool = False
     """Replace an existing export in the folder."""
     resume: bool = False
@@ -154,9 +157,6 @@ class LerobotSpec(ExportSpec):
     colours: Annotated[str, Flag(metavar="film|png")] = "film"
     """How colour images are stored: in videos, whose colours have half the resolution, or one by one without loss, for
     small images."""
-    points: Annotated[int, Bound(most=100_000)] = 0
-    """Number of points of a cloud with colours in the frame of the base, made of the colour and depth images; 0 for
-    none."""
     state: Annotated[str, Flag(metavar="own|recorded")] = "own"
     """What observation.state holds: what the robot's own sensors tell, or all that was recorded, such as the 42 numbers
     of MS-HAB."""

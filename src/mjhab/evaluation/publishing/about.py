@@ -20,6 +20,7 @@ from mjhab.core.typed.flags import flag_of
 from mjhab.data.export.columns import action_columns, state_columns
 from mjhab.data.select.describing import state_names, subtask_words
 from mjhab.data.select.facts import target_of
+from mjhab.data.select.own_state import base_velocity, tells_base_velocity
 from mjhab.data.store.places import episodes
 from mjhab.data.store.reading import RecordedEpisode
 from mjhab.evaluation.publishing.spec import DEMONSTRATIONS, DatasetSpec
@@ -30,6 +31,7 @@ FORMAT = "mjhab-dataset"
 SUBSETS: dict[str, str] = {"failures": "not success", "recoveries": "success"}
 """Filters of the subsets of what is no demonstration."""
 _GB = 1e9
+_BASE_VELOCITY = ("base_vel.forward", "base_vel.left", "base_vel.yaw")
 _EXAMPLES = 12
 """Number of sentences that a card shows."""
 
@@ -76,6 +78,7 @@ class _Contents:
         self.wordings: set[str] = set()
         self.actions = _ColumnRanges()
         self.state = _ColumnRanges()
+        self.base_velocity = _ColumnRanges()
         self.labels: Counter[str] = Counter()
         self.first: RecordedEpisode | None = None
         self.licences: dict[str, None] = {}
@@ -99,6 +102,8 @@ class _Contents:
             self.skills[each.skill].append(each.end - each.start)
         self.actions.add(episode.array("actions"))
         self.state.add(episode.array("obs/state"))
+        if tells_base_velocity(episode):
+            self.base_velocity.add(base_velocity(episode))
 
 
 def describe(
@@ -219,12 +224,17 @@ def _origin(spec: DatasetSpec, found: _Contents) -> dict[str, Any]:
 def _columns(found: _Contents) -> dict[str, Any]:
     first = found.first
     if first is None:
-        return {"actions": [], "state": [], "cameras": {}}
+        return {"actions": [], "state": [], "base_velocity": [], "cameras": {}}
     actions = action_columns(first.run)
     state = state_columns(state_names(first.columns("obs/state"), first.run.layout))
     return {
         "actions": _joined(actions, found.actions.of_columns()),
         "state": _joined(state, found.state.of_columns()),
+        "base_velocity": _joined(
+            state_columns(_BASE_VELOCITY), found.base_velocity.of_columns()
+        )
+        if tells_base_velocity(first)
+        else [],
         "images": [f"{camera}/{output}" for camera, output in first.images],
         "cameras": dict(first.run.layout.get("cameras", {})),
     }

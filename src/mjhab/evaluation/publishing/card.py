@@ -32,11 +32,16 @@ def card(about: Mapping[str, Any]) -> str:
         "Skills": _skills(about["skills"]),
         f"Actions (`{about.get('control_mode', '')}`)": _actions(about["actions"]),
         "State": columns_table(about["state"]),
+        "Velocity of the base": _base_velocity(about.get("base_velocity", ())),
         "Images": _images(about),
         "Licence of the assets": about["licence"] or "none is known",
     }
     title = f"# {about['name']}: demonstrations of household subtasks"
-    body = [f"## {name}\n\n{text}" if name else text for name, text in sections.items()]
+    body = [
+        f"## {name}\n\n{text}" if name else text
+        for name, text in sections.items()
+        if text
+    ]
     return "\n\n".join([_head(about), title, *body]) + "\n"
 
 
@@ -119,6 +124,16 @@ def _actions(actions: Sequence[Mapping[str, Any]]) -> str:
     return (
         "An action is held for a control step. Where the table has values at -1 and 1 it is in that range.\n\n"
         + columns_table(actions)
+    )
+
+
+def _base_velocity(columns: Sequence[Mapping[str, Any]]) -> str:
+    if not columns:
+        return ""
+    return (
+        "The state lacks it; it follows from the stored states "
+        "(`mjhab.data.select.own_state.base_velocity(episode)`), and exports have it as a column.\n\n"
+        + columns_table(columns)
     )
 
 

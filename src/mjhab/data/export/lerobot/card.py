@@ -11,6 +11,7 @@ from mjhab.data.export.columns import state_columns
 from mjhab.data.export.conventions import CONVENTIONS
 from mjhab.data.export.lerobot.features import (
     ACTION,
+    BASE_VELOCITY,
     ENVIRONMENT_STATE,
     FPS,
     IMAGES,
@@ -171,11 +172,10 @@ def _remarks(told: CardFacts, made: Sequence[ExportedEpisode]) -> list[str]:
         about.append(
             f"`{STATE}` holds privileged state of the simulation, too: object, goal, grasp."
         )
+    if BASE_VELOCITY in told.features:
+        about.append(f"`{BASE_VELOCITY}`: {CONVENTIONS['base_velocity']}.")
     if POINTS in told.features:
-        about.append(
-            f"`{POINTS}`: points of the cameras: x, y, z [m] in the frame of the robot's base link, red, green, "
-            "blue in 0..1."
-        )
+        about.append(f"`{POINTS}`: points of the cameras: {CONVENTIONS['points']}.")
     if teleported:
         about.append(
             f"In {teleported} of {len(made)} episodes the environment teleported the robot to every goal. "

@@ -12,6 +12,7 @@ import pyarrow as pa
 
 from mjhab.data.export.lerobot.features import (
     ACTION,
+    BASE_VELOCITY,
     CAMERA_POSE,
     CAMERA_POSE_PATH,
     ENVIRONMENT_STATE,
@@ -33,6 +34,7 @@ from mjhab.data.export.outside import Outside
 from mjhab.data.select.clouds import Clouds
 from mjhab.data.select.describing import teleported_steps
 from mjhab.data.select.interventions import intervention_steps
+from mjhab.data.select.own_state import base_velocity
 from mjhab.data.store.annotations import Annotations
 from mjhab.data.store.reading import RecordedEpisode
 
@@ -97,6 +99,8 @@ def rows_of(
     if task:
         columns[ENVIRONMENT_STATE] = np.concatenate(list(task.values()), axis=1)[:count]
     columns |= _seen(episode, count, features)
+    if BASE_VELOCITY in features:
+        columns[BASE_VELOCITY] = base_velocity(episode)[:count]
     if POINTS in features:
         clouds = Clouds(episode, choice.points, outside.base_height(episode.run))
         columns[POINTS] = np.stack([clouds.at(t) for t in range(count)])

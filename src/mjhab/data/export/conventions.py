@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+BASE_COLUMN = "base_velocity"
+"""Column of the velocity of the base, where the state lacks it. Of no group of observations: LeRobot takes features that
+begin with "observation." for state, and MS-HAB's scripts join all of theirs."""
 CONVENTIONS: dict[str, str] = {
     "world": "metres, z up, right-handed; a home's floor is at z = 0",
     "quaternion": "w, x, y, z; those in observations have w >= 0",
@@ -15,7 +18,7 @@ CONVENTIONS: dict[str, str] = {
     "depth": "mm along the optical axis (z of OpenCV), 0 where nothing is hit",
     "points": "x, y, z [m] in the frame of the robot's base link (x forward, y left, z up), then red, green, blue in "
     "0..1",
-    "base_velocity": "of the base in its own frame: forward, left [m/s], turning rate [rad/s]",
+    BASE_COLUMN: "of the base in its own frame: forward, left [m/s], turning rate [rad/s]",
     "segmentation": "id of what a pixel shows; its name is at that place in the list of segments, 0 is background",
 }
 """What a reader has to know of the numbers, by topic."""

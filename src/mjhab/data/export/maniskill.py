@@ -32,6 +32,7 @@ from mjhab.core.conventions.names import OBJECT_AXES
 from mjhab.core.errors import UsageError
 from mjhab.core.files.reading import read_json_object
 from mjhab.core.names import below
+from mjhab.data.export.conventions import BASE_COLUMN
 from mjhab.data.export.maniskill_json import control_mode, episode_info, file_info
 from mjhab.data.export.maniskill_states import Roots, env_states, infos, no_roots
 from mjhab.data.export.outside import Outside
@@ -65,8 +66,6 @@ _GZIP = 5
 """Compression level of images, as in MS-HAB."""
 POINTS = "pointcloud"
 """Points (T+1, P, 6) of the observations, see `clouds.CHANNELS`; MS-HAB's scripts do not read them."""
-BASE_VELOCITY = "base_velocity"
-"""(T+1, 3), beside the observations, whose 42 numbers lack it, since the scripts join all of these."""
 
 
 @dataclass(frozen=True)
@@ -269,7 +268,7 @@ def _put(group: h5py.Group, episode: RecordedEpisode, steps: int) -> None:
     group["intervention"] = intervention_steps(episode)[:steps]
     group["is_teleported"] = teleported_steps(episode)[:steps]
     if tells_base_velocity(episode):
-        group[BASE_VELOCITY] = base_velocity(episode)[: steps + 1]
+        group[BASE_COLUMN] = base_velocity(episode)[: steps + 1]
 
 
 def _put_tree(

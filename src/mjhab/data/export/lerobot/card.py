@@ -8,10 +8,9 @@ from typing import Any
 
 from mjhab.core.version import __version__
 from mjhab.data.export.columns import state_columns
-from mjhab.data.export.conventions import CONVENTIONS
+from mjhab.data.export.conventions import BASE_COLUMN, CONVENTIONS
 from mjhab.data.export.lerobot.features import (
     ACTION,
-    BASE_VELOCITY,
     ENVIRONMENT_STATE,
     FPS,
     IMAGES,
@@ -172,8 +171,8 @@ def _remarks(told: CardFacts, made: Sequence[ExportedEpisode]) -> list[str]:
         about.append(
             f"`{STATE}` holds privileged state of the simulation, too: object, goal, grasp."
         )
-    if BASE_VELOCITY in told.features:
-        about.append(f"`{BASE_VELOCITY}`: {CONVENTIONS['base_velocity']}.")
+    if BASE_COLUMN in told.features:
+        about.append(f"`{BASE_COLUMN}`: {CONVENTIONS[BASE_COLUMN]}.")
     if POINTS in told.features:
         about.append(f"`{POINTS}`: points of the cameras: {CONVENTIONS['points']}.")
     if teleported:

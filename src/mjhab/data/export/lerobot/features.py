@@ -10,11 +10,11 @@ import numpy as np
 
 from mjhab.core.errors import UsageError, fault
 from mjhab.core.timing import STEP_SECONDS
+from mjhab.data.export.conventions import BASE_COLUMN
 from mjhab.data.export.outside import Outside
 from mjhab.data.select.clouds import CHANNELS
 from mjhab.data.select.describing import state_names
-from mjhab.data.select.own_state import BASE_VELOCITY as BASE_VELOCITY_KEY
-from mjhab.data.select.own_state import split_state, tells_base_velocity
+from mjhab.data.select.own_state import BASE_VELOCITY, split_state, tells_base_velocity
 from mjhab.data.store.reading import RecordedEpisode
 
 FPS = round(1 / STEP_SECONDS)
@@ -43,8 +43,6 @@ INTENDED = "intended_action"
 """Not "action.intended", because LeRobot treats every feature whose name starts with "action" as policy output."""
 SKILL = "skill_index"
 """What who acted was doing; names in meta/skills, 0 where it does not tell."""
-BASE_VELOCITY = "base_velocity"
-"""Velocity of the base, where STATE lacks it. Not "observation.", because LeRobot takes such features for state."""
 POINTS = "observation.pointcloud"
 """Points (N, P, 6) with colours, see `clouds.CHANNELS`."""
 LANGUAGE = "language_persistent"
@@ -127,8 +125,8 @@ def describe(
     }
     if task:
         features[ENVIRONMENT_STATE] = _state_feature(task, episode)
-    if BASE_VELOCITY_KEY not in own and tells_base_velocity(episode):
-        features[BASE_VELOCITY] = _feature("float32", (3,), ["forward", "left", "yaw"])
+    if BASE_VELOCITY not in own and tells_base_velocity(episode):
+        features[BASE_COLUMN] = _feature("float32", (3,), ["forward", "left", "yaw"])
     if choice.points:
         features[POINTS] = _feature(
             "float32", (choice.points, len(CHANNELS)), ["point", "channel"]

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
+from mjhab.data.export.conventions import BASE_COLUMN
 from mjhab.data.export.lerobot.features import (
     ACTION,
-    BASE_VELOCITY,
     CAMERA_POSE,
     CAMERA_POSE_PATH,
     ENVIRONMENT_STATE,
@@ -99,8 +99,8 @@ def rows_of(
     if task:
         columns[ENVIRONMENT_STATE] = np.concatenate(list(task.values()), axis=1)[:count]
     columns |= _seen(episode, count, features)
-    if BASE_VELOCITY in features:
-        columns[BASE_VELOCITY] = base_velocity(episode)[:count]
+    if BASE_COLUMN in features:
+        columns[BASE_COLUMN] = base_velocity(episode)[:count]
     if POINTS in features:
         clouds = Clouds(episode, choice.points, outside.base_height(episode.run))
         columns[POINTS] = np.stack([clouds.at(t) for t in range(count)])

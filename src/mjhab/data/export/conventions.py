@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 BASE_COLUMN = "base_velocity"
-"""Column of the velocity of the base, where the state lacks it. Of no group of observations: LeRobot takes features that
-begin with "observation." for state, and MS-HAB's scripts join all of theirs."""
+"""Column of the velocity of the base, where the state lacks it. It is none of the observations: LeRobot takes features
+that begin with "observation." for state, and MS-HAB's scripts join all of theirs."""
 CONVENTIONS: dict[str, str] = {
     "world": "metres, z up, right-handed; a home's floor is at z = 0",
     "quaternion": "w, x, y, z; those in observations have w >= 0",

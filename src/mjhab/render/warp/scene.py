@@ -162,6 +162,7 @@ class DeviceScene:
                 f"{1 << FACE_BITS} faces per mesh and {(1 << (31 - FACE_BITS)) - 1} moving instances."
             )
         balls = {}
+        boxes = {}
         for mesh, instance in zip(level.tolist(), which.tolist(), strict=True):
             if mesh not in balls:
                 corners = scene.faces[self._faces(instance)]
@@ -174,6 +175,7 @@ class DeviceScene:
                     *center,
                     1.0001 * np.linalg.norm(points - center, axis=1).max() + 1e-5,
                 ]
+                boxes[mesh] = 1.0001 * (points.max(axis=0) - center) + 1e-5
         movers.instance = _ints(which)
         movers.body = _ints(scene.instance_body[which])
         movers.pos = _rows(scene.instance_pos[which], wp.vec3)
@@ -185,6 +187,9 @@ class DeviceScene:
         movers.first_face = _ints(scene.mesh_face_start[level])
         movers.ball = _rows(
             np.array([balls[mesh] for mesh in level.tolist()]).reshape(-1, 4), wp.vec4
+        )
+        movers.half = _rows(
+            np.array([boxes[mesh] for mesh in level.tolist()]).reshape(-1, 3), wp.vec3
         )
         return movers
 

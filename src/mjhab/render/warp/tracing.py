@@ -63,7 +63,7 @@ class Movers:
 
     instance: id in the render scene. body: body id in the MjModel. pos [m], mat: pose in the body's frame. mesh: id of
     its mesh. first_face: first face of the mesh in the render scene. ball: bounding sphere (centre and radius [m] in
-    the frame of the mesh).
+    the frame of the mesh). half: half edges of the bounding box about the same centre [m], along the mesh's axes.
     """
 
     instance: wp.array[int]
@@ -73,6 +73,7 @@ class Movers:
     mesh: wp.array[wp.uint64]
     first_face: wp.array[int]
     ball: wp.array[wp.vec4]
+    half: wp.array[wp.vec3]
 
 
 @wp.struct
@@ -195,11 +196,18 @@ def place_movers(
     worlds.mat[world, d] = body_mat[world, b] * movers.mat[d]
 
 
+@wp.func
+def _box_reach(axes: wp.mat33, half: wp.vec3, normal: wp.vec3):
+    """Largest distance of a point of a box from its centre along ``normal``; the columns of ``axes`` are its edges."""
+    along = wp.transpose(axes) * normal
+    return wp.dot(wp.vec3(wp.abs(along[0]), wp.abs(along[1]), wp.abs(along[2])), half)
+
+
 @wp.kernel
 def list_movers(
     stills: Stills, movers: Movers, worlds: TracedWorlds, frame: TracedFrame, first: int
 ):
-    """List the movers whose bounding spheres overlap each image tile, for the worlds from ``first`` on."""
+    """List the movers whose bounding boxes reach into the pyramid of each image tile, for the worlds from ``first`` on."""
     k, c, tile = wp.tid()
     world = first + k
     frame.listed[k, c, tile] = 0
@@ -217,6 +225,11 @@ def list_movers(
     x1 = (float(left + TILE) - cx) / f
     y0 = (cy - float(top + TILE)) / f
     y1 = (cy - float(top)) / f
+    # Inward normals of the sides of the pyramid, in the camera's axes (z backwards).
+    left_side = wp.vec3(1.0, 0.0, x0)
+    right_side = wp.vec3(-1.0, 0.0, -x1)
+    bottom_side = wp.vec3(0.0, 1.0, y0)
+    top_side = wp.vec3(0.0, -1.0, -y1)
     count = int(0)
     for d in range(movers.body.shape[0]):
         scale = stills.scale[home, movers.instance[d]]
@@ -224,20 +237,21 @@ def list_movers(
         at = worlds.pos[world, d]
         if scale[0] * scale[1] * scale[2] == 0.0 or not at[2] > BURIED:
             continue
-        center = at + worlds.mat[world, d] * wp.cw_mul(
-            scale, wp.vec3(ball[0], ball[1], ball[2])
+        rot = worlds.mat[world, d]
+        seen = axes * (
+            at + rot * wp.cw_mul(scale, wp.vec3(ball[0], ball[1], ball[2])) - eye
         )
-        radius = ball[3] * wp.max(wp.abs(scale))
-        seen = axes * (center - eye)
-        x = seen[0]
-        y = seen[1]
-        z = -seen[2]
+        edges = axes * rot
+        half = wp.cw_mul(
+            wp.vec3(wp.abs(scale[0]), wp.abs(scale[1]), wp.abs(scale[2])), movers.half[d]
+        )
+        # A box is tighter than a sphere about doors and boards: fewer rays ask for a mesh that they miss.
         if (
-            z > -radius
-            and x - x0 * z > -radius * wp.sqrt(1.0 + x0 * x0)
-            and x1 * z - x > -radius * wp.sqrt(1.0 + x1 * x1)
-            and y - y0 * z > -radius * wp.sqrt(1.0 + y0 * y0)
-            and y1 * z - y > -radius * wp.sqrt(1.0 + y1 * y1)
+            -seen[2] > -_box_reach(edges, half, wp.vec3(0.0, 0.0, 1.0))
+            and wp.dot(left_side, seen) > -_box_reach(edges, half, left_side)
+            and wp.dot(right_side, seen) > -_box_reach(edges, half, right_side)
+            and wp.dot(bottom_side, seen) > -_box_reach(edges, half, bottom_side)
+            and wp.dot(top_side, seen) > -_box_reach(edges, half, top_side)
         ):
             frame.movers[k, c, tile, count] = wp.int16(d)
             count += 1

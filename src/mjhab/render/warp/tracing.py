@@ -320,13 +320,18 @@ def _cast(mesh: wp.uint64, start: wp.vec3, ray: wp.vec3, near: float, far: float
 
 
 @wp.func
-def _passes_ball(center: wp.vec3, radius: float, ray: wp.vec3, far: float):
-    """Whether a ray from the origin misses a sphere, or enters it beyond the depth ``far`` [m]."""
-    length2 = wp.dot(ray, ray)
-    along = wp.dot(center, ray) / length2
-    off = center - ray * along
-    squared_reach = radius * radius - wp.dot(off, off)
-    return squared_reach < 0.0 or along - wp.sqrt(squared_reach / length2) > far
+def _misses_box(center: wp.vec3, half: wp.vec3, start: wp.vec3, ray: wp.vec3, far: float):
+    """Whether a ray misses a box along the axes, or enters it beyond the depth ``far`` [m]."""
+    enter = float(0.0)
+    leave = float(far)
+    for i in range(3):
+        # A ray along a face has an infinite quotient, or none (NaN) on the face itself, which no comparison accepts.
+        inverse = 1.0 / ray[i]
+        a = (center[i] - half[i] - start[i]) * inverse
+        b = (center[i] + half[i] - start[i]) * inverse
+        enter = wp.max(enter, wp.min(a, b))
+        leave = wp.min(leave, wp.max(a, b))
+    return enter > leave
 
 
 # One kernel from ray to nearest hit, so that the ray and the nearest depth so far stay in registers.
@@ -372,18 +377,14 @@ def trace(
             d = int(frame.movers[k, c, tile, n])
             far = wp.where(best > 0.0, best, REACH)
             scale = stills.scale[home, movers.instance[d]]
-            ball = movers.ball[d]
-            rot = worlds.mat[world, d]
-            center = worlds.pos[world, d] + rot * wp.cw_mul(
-                scale, wp.vec3(ball[0], ball[1], ball[2])
-            )
-            if _passes_ball(center - eye, ball[3] * wp.max(wp.abs(scale)), ray, far):
-                continue
-            turned = wp.transpose(rot)
+            turned = wp.transpose(worlds.mat[world, d])
             start = wp.cw_div(turned * (eye - worlds.pos[world, d]), scale)
-            nearer = _cast(
-                movers.mesh[d], start, wp.cw_div(turned * ray, scale), frame.near, far
-            )
+            along = wp.cw_div(turned * ray, scale)
+            ball = movers.ball[d]
+            center = wp.vec3(ball[0], ball[1], ball[2])
+            if _misses_box(center, movers.half[d], start, along, far):
+                continue
+            nearer = _cast(movers.mesh[d], start, along, frame.near, far)
             if nearer.depth > 0.0:
                 best = nearer.depth
                 tag = -1 - ((d << TAG_BITS) | nearer.face)

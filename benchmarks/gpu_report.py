@@ -17,6 +17,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+from benchmarks.gpu_pictures import picture_stages
 from benchmarks.parity.episodes import Leg
 from benchmarks.parity.run import ParitySpec, measure_parity
 from benchmarks.sleep import sleep_cost
@@ -34,6 +35,7 @@ NO_GPU = "no GPU at hand: these numbers come from Warp's CPU device and say noth
 GPU_WORLDS = (64, 256, 1024, 4096, 8192)
 CPU_WORLDS = (1, 16)
 ENV_WORLDS = (256, 512, 1024, 2048, 4096)
+PICTURE_WORLDS = (256, 1024, 4096)
 CHAIN_WORLDS = (256, 1024)
 """Fewer: for the starts of a chain, all its teleport poses are searched on the host."""
 PARITY_LOG = Path("runs/gpu-parity.jsonl")
@@ -122,6 +124,22 @@ def env_results(has_gpu: bool) -> dict[str, Any]:
     }
 
 
+def picture_results(has_gpu: bool) -> dict[str, Any]:
+    """Stages of the pictures of both cameras, by number of worlds and size."""
+    device = "cuda:0" if has_gpu else "cpu"
+    counts = PICTURE_WORLDS if has_gpu else (2,)
+    return {
+        "points": [
+            attempt(
+                lambda count=count, size=size: picture_stages(count, size, device),
+                f"pictures of {size} px, {count} worlds",
+            )
+            for size in (64, 128)
+            for count in counts
+        ]
+    }
+
+
 def sleep_results(has_gpu: bool) -> dict[str, Any]:
     """What sleep changes and saves: Pick in TidyHouse with 30 objects."""
     worlds, steps, device = (256, 100, "cuda:0") if has_gpu else (4, 60, "cpu")
@@ -152,6 +170,7 @@ MEASURES: dict[str, Callable[[bool], dict[str, Any]]] = {
     "memory": memory_results,
     "interact": interact_results,
     "env": env_results,
+    "pictures": picture_results,
     "sleep": sleep_results,
     "parity": parity_results,
     "parity-quick": quick_parity_results,

@@ -441,6 +441,11 @@ def quick_report(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(
         gpu_report, "measure_parity", lambda options: {"episodes": options.episodes}
     )
+    monkeypatch.setattr(
+        gpu_report,
+        "picture_stages",
+        lambda worlds, size, device: {"size": size, "device": device},
+    )
     monkeypatch.setattr(gpu_report, "sleep_cost", lambda leg, steps: [leg.task, steps])
     monkeypatch.setattr(
         gpu_report.bench_env,
@@ -458,7 +463,8 @@ def test_report_says_that_there_was_no_gpu(tmp_path: Path) -> None:
     gpu_report.report(tmp_path)
     found = read_all(tmp_path)
     assert set(found) == {
-        f"gpu-{name}" for name in ("memory", "interact", "env", "sleep", "parity-quick")
+        f"gpu-{name}"
+        for name in ("memory", "interact", "env", "pictures", "sleep", "parity-quick")
     }
     for content in found.values():
         assert content["machine"]["gpu"] is None and content["note"] == gpu_report.NO_GPU
@@ -466,6 +472,11 @@ def test_report_says_that_there_was_no_gpu(tmp_path: Path) -> None:
     assert len(points) == 6 and all(point["error"] == "no room" for point in points)
     assert found["gpu-parity-quick"]["episodes"] == 2
     assert [point["worlds"] for point in found["gpu-env"]["points"]] == [2, 16]
+    pictures = found["gpu-pictures"]["points"]
+    assert [(point["size"], point["device"]) for point in pictures] == [
+        (64, "cpu"),
+        (128, "cpu"),
+    ]
     assert len(found["gpu-memory"]["estimates"]) == 4 and found["gpu-sleep"]["rows"] == [
         "tidy_house",
         60,
@@ -480,7 +491,8 @@ def test_report_on_a_gpu_measures_large_batches(
     gpu_report.report(tmp_path)
     found = read_all(tmp_path)
     assert set(found) == {
-        f"gpu-{name}" for name in ("memory", "interact", "env", "sleep", "parity")
+        f"gpu-{name}"
+        for name in ("memory", "interact", "env", "pictures", "sleep", "parity")
     }
     parity = found["gpu-parity"]
     assert parity.pop("machine") and parity.pop("date")

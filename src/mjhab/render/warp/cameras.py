@@ -7,7 +7,7 @@ space, as on the CPU).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -243,39 +243,78 @@ class WarpCameras:
             dim=worlds.pos.shape,
             inputs=[scene.movers, engine.data.xpos, engine.data.xmat, worlds],
         )
-        for first in range(0, self._sim.num_worlds, self._chunk):
-            self._draw_chunk(first)
+        for first in self.chunks:
+            for stage in self.stages().values():
+                stage(first)
 
-    def _draw_chunk(self, first: int) -> None:
+    def stages(self) -> dict[str, Callable[[int], None]]:
+        """What is launched for the worlds from a first one on, up to `WORLDS_AT_ONCE` of them, in its order.
+
+        "list" finds the moving instances of every tile, "trace" casts the rays; with colours "occlude" finds what is
+        hidden from the light about it, and "shade" colours the pixels. `draw` does all for all worlds.
+        """
+        stages = {"list": self._list_movers, "trace": self._trace}
+        if "rgb" in self._outputs:
+            stages |= {"occlude": self._occlude, "shade": self._shade}
+        return stages
+
+    @property
+    def chunks(self) -> range:
+        """First worlds of what is rendered together."""
+        return range(0, self._sim.num_worlds, self._chunk)
+
+    def _list_movers(self, first: int) -> None:
         scene = self._scene
-        worlds = self._worlds
-        frame = self._frame
-        cells = self._cells
-        shape = (self._chunk, len(self._cameras))
         wp.launch(
             warp_tracing.list_movers,
-            dim=(*shape, self._tiles),
-            inputs=[scene.stills, scene.movers, worlds, frame, first],
+            dim=(self._chunk, len(self._cameras), self._tiles),
+            inputs=[scene.stills, scene.movers, self._worlds, self._frame, first],
         )
+
+    def _trace(self, first: int) -> None:
+        scene = self._scene
+        rays = self._tiles * warp_tracing.TILE_PIXELS
         wp.launch(
             warp_tracing.trace,
-            dim=(*shape, self._tiles * warp_tracing.TILE_PIXELS),
-            inputs=[scene.stills, scene.movers, worlds, frame, scene.seg, first],
+            dim=(self._chunk, len(self._cameras), rays),
+            inputs=[
+                scene.stills,
+                scene.movers,
+                self._worlds,
+                self._frame,
+                scene.seg,
+                first,
+            ],
             outputs=[self._images["depth"], self._images["seg"]],
         )
-        if "rgb" not in self._outputs:
-            return
-        spots = (*shape, cells.width * cells.height)
+
+    def _occlude(self, first: int) -> None:
+        cells = self._cells
+        spots = (self._chunk, len(self._cameras), cells.width * cells.height)
         wp.launch(
             warp_occlusion.block_cells,
             dim=spots,
-            inputs=[scene.looks, worlds, frame, cells, first],
+            inputs=[self._scene.looks, self._worlds, self._frame, cells, first],
         )
-        wp.launch(warp_occlusion.blur_cells, dim=spots, inputs=[worlds, cells, first])
+        wp.launch(
+            warp_occlusion.blur_cells, dim=spots, inputs=[self._worlds, cells, first]
+        )
+
+    def _shade(self, first: int) -> None:
+        scene = self._scene
+        frame = self._frame
         wp.launch(
             warp_shading.shade,
-            dim=(*shape, frame.width * frame.height),
-            inputs=[scene.looks, scene.stills, scene.movers, worlds, frame, cells, first],
+            dim=(self._chunk, len(self._cameras), frame.width * frame.height),
+            inputs=[
+                scene.looks,
+                scene.stills,
+                scene.movers,
+                self._worlds,
+                frame,
+                self._cells,
+                first,
+            ],
             outputs=[self._images["rgb"]],
         )
 

@@ -207,7 +207,7 @@ def _box_reach(axes: wp.mat33, half: wp.vec3, normal: wp.vec3):
 def list_movers(
     stills: Stills, movers: Movers, worlds: TracedWorlds, frame: TracedFrame, first: int
 ):
-    """List the movers whose bounding boxes reach into the pyramid of each image tile, for the worlds from ``first`` on."""
+    """List the movers whose bounding boxes reach into the view of each image tile, for the worlds from ``first`` on."""
     k, c, tile = wp.tid()
     world = first + k
     frame.listed[k, c, tile] = 0

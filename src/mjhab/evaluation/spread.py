@@ -1,7 +1,7 @@
 """An evaluation in several processes: workers of this machine, or actors of a Ray cluster.
 
 An episode is a function of its seed and index, so the records are those of one process, whoever made them. Records
-travel in messages; only films are written by the workers, which therefore must see the folder.
+travel in messages; only films are written by the workers.
 """
 
 from __future__ import annotations
@@ -67,6 +67,11 @@ class EvaluationWork:
     """Picklable description of a worker that evaluates."""
 
     spec: EvalSpec
+    more_folders: tuple[Path, ...] = ()
+
+    def moved(self, more_folders: tuple[Path, ...]) -> EvaluationWork:
+        """See `data.record.workers.WorkSpec`."""
+        return replace(self, more_folders=more_folders)
 
     def start(self, folder: Path) -> EvaluationWorker:
         """Build the worker; its films go to ``folder``."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import importlib
 import os
 import random
@@ -17,7 +18,7 @@ import mjhab
 from mjhab.core.errors import UsageError
 from mjhab.data.record.generation import generate
 from mjhab.data.record.job import Standing
-from mjhab.data.record.ray_workers import LOCAL, RayPool
+from mjhab.data.record.ray_workers import FOLDER, LOCAL, RayPool
 from mjhab.data.store.checking import check
 from mjhab.evaluation.evaluate import EvalSpec, run_evaluation
 from mjhab.learning.runs.collection import Collector, Round
@@ -119,6 +120,32 @@ def test_a_node_lost_in_the_middle_changes_no_bit_of_a_data_set(
     done = generate(job(out, KEEP, per_target=25, workers=2), pool, lose)
     assert lost and done.complete and done.written == done.kept == 25
     assert kept(out) == kept(tmp_path / "reference") and check(out).clean
+
+
+class PoolOfBlindNodes(RayPool):
+    """A pool whose nodes see no folder of this machine: their files travel through Ray."""
+
+    def _greet(self, number: int, theirs: Any) -> Any:
+        return super()._greet(number, {**theirs, FOLDER: str(False)})
+
+
+def test_nodes_without_a_shared_folder_send_their_files(
+    tmp_path: Path, two_nodes: Any
+) -> None:
+    wanted = {"per_target": 15}
+    for name, pool, more in (
+        ("reference", InlinePool(), {"worlds": 1}),
+        ("ray", PoolOfBlindNodes(two_nodes.address), {"workers": 2}),
+    ):
+        out = tmp_path / name
+        asked = job(out, KEEP, **wanted, **more)
+        spec = dataclasses.replace(asked.spec, rest=out / "rest")
+        generate(dataclasses.replace(asked, spec=spec), pool)
+    ours, theirs = (tmp_path / name for name in ("reference", "ray"))
+    assert kept(theirs) == kept(ours) != {} and check(theirs).clean
+    # Which failures are tried near the end of a quota depends on the workers.
+    assert set(kept(theirs / "rest")) & set(kept(ours / "rest"))
+    assert check(theirs / "rest").clean
 
 
 def test_an_evaluation_on_two_nodes_has_the_records_of_one_process(

@@ -9,6 +9,7 @@ import multiprocessing
 import os
 import random
 import signal
+import tempfile
 import time
 from collections.abc import Mapping
 from dataclasses import replace
@@ -21,7 +22,9 @@ import pytest
 from mjhab.core.errors import MjhabError
 from mjhab.data.record.generation import generate
 from mjhab.data.record.job import GENERATION_CONFIG, TRIED, Job, Standing
+from mjhab.data.record.messages import EpisodeDone, Request, WorkerReady
 from mjhab.data.record.pools import ProcessPool
+from mjhab.data.record.ray_workers import _Actor
 from mjhab.data.record.workers import Stage
 from mjhab.data.store.checking import check
 from mjhab.data.store.episode_data import EpisodeData
@@ -51,6 +54,34 @@ def reference(tmp_path_factory: pytest.TempPathFactory) -> dict[int, str]:
     )
     assert done.bytes == sum(path.stat().st_size for path in out.rglob("*.h5"))
     return kept(out)
+
+
+def test_a_worker_on_a_node_that_sees_no_folder_hands_over_its_files(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    node = tmp_path / "node"
+    node.mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(node))
+    out, rest = tmp_path / "out", tmp_path / "rest"
+    actor = _Actor()
+    begun = actor.begin(replace(job(out, KEEP).spec, rest=rest), out, False)
+    assert isinstance(begun.messages[0], WorkerReady)
+    seen = set[tuple[int, str]]()
+    for first in (0, 8):
+        answer = actor.run(Request(tuple(range(first, first + 8))))
+        stored = [said for said in answer.messages if isinstance(said, EpisodeDone)]
+        names = {(folder, name) for folder, name, _ in answer.files}
+        # Episodes that pass lie in the first folder, the others in that of the rest, and each is told once.
+        passed = sum(said.outcome.passes for said in stored)
+        assert [sum(folder == k for folder, _ in names) for k in (0, 1)] == [
+            passed,
+            len(stored) - passed,
+        ]
+        assert not names & seen
+        seen |= names
+    assert {folder for folder, _ in seen} == {0, 1}
+    assert not [path for path in node.rglob("*") if path.is_file()]
+    assert not out.exists() and not rest.exists()
 
 
 @pytest.mark.parametrize(

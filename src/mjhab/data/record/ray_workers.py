@@ -1,24 +1,33 @@
-"""Workers as Ray actors on a cluster. Needs the extra ``scale``."""
+"""Workers as Ray actors on a cluster. Needs the extra ``scale``.
+
+A node that sees the folder of the results writes into it. On any other node a worker writes into a temporary folder,
+and its files travel with its messages, through Ray's object store, to the machine that asked.
+"""
 
 from __future__ import annotations
 
 import contextlib
 import importlib
 import platform
+import shutil
 import socket
+import tempfile
 import threading
 import time
 import uuid
 from collections.abc import Mapping
+from dataclasses import dataclass, field
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 from mjhab.core.arithmetic.digest import arithmetic_digest
 from mjhab.core.errors import UsageError
+from mjhab.core.files.cache import write_atomic
 from mjhab.core.files.code_digest import code_digest
 from mjhab.core.libraries import missing_library
 from mjhab.core.machine import install_extra
+from mjhab.core.names import below
 from mjhab.core.version import __version__
 from mjhab.data.record.messages import (
     Message,
@@ -28,6 +37,8 @@ from mjhab.data.record.messages import (
     failure,
 )
 from mjhab.data.record.workers import Stopped, Work, WorkSpec
+from mjhab.data.store.episode_files import INDEX
+from mjhab.data.store.storage import not_written
 
 LOCAL = "local"
 FOLDER = "folder"
@@ -48,11 +59,8 @@ def node_identity() -> dict[str, str]:
     }
 
 
-def check_node(theirs: Mapping[str, str], folder: Path) -> None:
-    """Refuse a node that would compute other numbers, or write where nobody looks.
-
-    Args:
-        theirs: what `_Actor.identity` says. folder: of the results.
+def check_node(theirs: Mapping[str, str]) -> None:
+    """Refuse a node that would compute other numbers; ``theirs``: what `_Actor.identity` says.
 
     Raises:
         UsageError: names what differs, on both sides.
@@ -64,12 +72,36 @@ def check_node(theirs: Mapping[str, str], folder: Path) -> None:
                 "would depend on who made them. Install the same mjhab and libraries on all nodes, on processors of "
                 "one kind."
             )
-    # Episodes are written by the nodes, so that a local folder there would be lost.
-    if theirs[FOLDER] != str(True):
-        raise UsageError(
-            f"node {theirs['node']} of the Ray cluster does not see {folder}: give an --out in a folder that all nodes "
-            "share."
-        )
+
+
+@dataclass(frozen=True)
+class _Answer:
+    """What a request to an actor returns. files: (number of the folder, path in it, content) of each file carried."""
+
+    messages: list[Message]
+    files: list[tuple[int, str, bytes]] = field(default_factory=list)
+
+
+class _Carrier:
+    """Temporary folders of an actor whose node does not see those of the results."""
+
+    def __init__(self, count: int) -> None:
+        self._root = Path(tempfile.mkdtemp(prefix="mjhab-"))
+        self.folders = tuple(self._root / str(number) for number in range(count))
+
+    def take(self) -> list[tuple[int, str, bytes]]:
+        """Contents of the files that were written since the last call, which are deleted; see `_Answer`."""
+        found = [
+            (number, path.relative_to(folder).as_posix(), path.read_bytes())
+            for number, folder in enumerate(self.folders)
+            for path in sorted(folder.rglob("*"))
+            # The table of a folder tells sizes and times of files of this disk, and is made anew where they arrive.
+            # Files with a dot are unfinished ones of a request that was stopped.
+            if path.is_file() and path.name != INDEX and not path.name.startswith(".")
+        ]
+        # An actor ends by being killed: what it leaves behind is an empty folder at most.
+        shutil.rmtree(self._root, ignore_errors=True)
+        return found
 
 
 class _Actor:
@@ -78,21 +110,26 @@ class _Actor:
     def __init__(self) -> None:
         self._stop = threading.Event()
         self._worker: Work | None = None
+        self._carrier: _Carrier | None = None
 
     def identity(self, mark: Path) -> dict[str, str]:
         """What runs on this node, see `node_identity`, and whether it sees the file ``mark``."""
         # Texts alone, which every version of Python can unpickle.
         return {**node_identity(), "node": platform.node(), FOLDER: str(mark.is_file())}
 
-    def begin(self, spec: WorkSpec, folder: Path) -> list[Message]:
-        """Make the worker."""
+    def begin(self, spec: WorkSpec, folder: Path, sees: bool) -> _Answer:
+        """Make the worker; ``sees``: this node sees the folders of the results."""
         try:
+            if not sees:
+                self._carrier = _Carrier(1 + len(spec.more_folders))
+                folder, *more = self._carrier.folders
+                spec = spec.moved(tuple(more))
             self._worker = spec.start(folder)
-            return [self._worker.ready]
+            return _Answer([self._worker.ready])
         except Exception as error:
-            return [failure(error)]
+            return _Answer([failure(error)])
 
-    def run(self, request: Request) -> list[Message]:
+    def run(self, request: Request) -> _Answer:
         """Execute a request."""
         assert self._worker is not None, "begin was not called, or failed"
         said: list[Message] = []
@@ -103,7 +140,7 @@ class _Actor:
             pass
         except Exception as error:
             said.append(failure(error))
-        return said
+        return _Answer(said, self._carrier.take() if self._carrier else [])
 
     def stop(self) -> None:
         """Abort the current request after the next control step; runs in a second thread."""
@@ -143,7 +180,9 @@ class RayPool:
         self._actors: dict[int, Any] = {}
         self._calls: dict[Any, int] = {}
         self._beginning: dict[int, tuple[WorkSpec, Path]] = {}
-        """Work of actors whose node has not told its identity yet, and the file that it should see."""
+        """Work of actors whose node has not told its identity yet, and a file that tells whether it sees the folder."""
+        self._folders: dict[int, tuple[Path, ...]] = {}
+        """Where the files that an actor carries belong."""
 
     def start(self, number: int, spec: WorkSpec, folder: Path) -> None:
         """See `WorkerPool`."""
@@ -154,6 +193,7 @@ class RayPool:
         mark = folder / f".{uuid.uuid4().hex}"
         mark.touch()
         self._actors[number] = self._class.remote()
+        self._folders[number] = (folder, *spec.more_folders)
         self._beginning[number] = (spec, mark)
         # Before anything else is sent: another version might not be able to read it.
         self._calls[self._actors[number].identity.remote(mark)] = number
@@ -170,10 +210,9 @@ class RayPool:
         for call in ready:
             number = self._calls.pop(call)
             try:
-                said = self._ray.get(call)
-                if number in self._beginning:
-                    said = self._greet(number, said)
-                found += [(number, message) for message in said]
+                answer = self._ray.get(call)
+                hear = self._greet if number in self._beginning else self._received
+                found += [(number, message) for message in hear(number, answer)]
             except self._ray.exceptions.RayActorError:
                 # The file is no episode and would stay in the folder for good.
                 self._forget_mark(number)
@@ -190,11 +229,27 @@ class RayPool:
         spec, mark = self._beginning.pop(number)
         mark.unlink(missing_ok=True)
         try:
-            check_node(theirs, mark.parent)
+            check_node(theirs)
         except UsageError as error:
             return [failure(error)]
-        self._calls[self._actors[number].begin.remote(spec, mark.parent)] = number
+        begun = self._actors[number].begin.remote(
+            spec, mark.parent, theirs[FOLDER] == str(True)
+        )
+        self._calls[begun] = number
         return []
+
+    def _received(self, number: int, answer: _Answer) -> list[Message]:
+        """Write the files that an actor carries; its messages, which tell of them."""
+        try:
+            for folder, name, content in answer.files:
+                path = below(self._folders[number][folder], name)
+                path.parent.mkdir(parents=True, exist_ok=True)
+                write_atomic(
+                    path, lambda file, content=content: file.write_bytes(content)
+                )
+        except OSError as error:
+            return [failure(not_written(self._folders[number][0], error))]
+        return answer.messages
 
     def _forget_mark(self, number: int) -> None:
         """Delete the file that the node of a worker should have seen, if it did not come to that."""
@@ -215,7 +270,12 @@ class RayPool:
                 list(self._calls), num_returns=1, timeout=_LONGEST_STOP
             )
             for call in ready:
-                del self._calls[call]
+                number = self._calls.pop(call)
+                with contextlib.suppress(self._ray.exceptions.RayError):
+                    # Finished episodes of a request that was stopped: a node that sees the folder has written them.
+                    answer = self._ray.get(call)
+                    if isinstance(answer, _Answer):
+                        self._received(number, answer)
         for actor in self._actors.values():
             self._ray.kill(actor)
         for number in list(self._beginning):

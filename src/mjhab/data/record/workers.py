@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -67,6 +68,15 @@ class WorkerSpec:
     images: ImageFormat | None = None
     rest: Path | None = None
 
+    @property
+    def more_folders(self) -> tuple[Path, ...]:
+        """See `WorkSpec`."""
+        return () if self.rest is None else (self.rest,)
+
+    def moved(self, more_folders: tuple[Path, ...]) -> WorkerSpec:
+        """See `WorkSpec`."""
+        return dataclasses.replace(self, rest=next(iter(more_folders), None))
+
     def start(self, folder: Path) -> Worker:
         """Make a worker that writes episode files to ``folder``."""
         return Worker(self, folder)
@@ -104,6 +114,15 @@ class Work(Protocol):
 
 class WorkSpec(Protocol):
     """Picklable description of the work of a worker."""
+
+    @property
+    def more_folders(self) -> tuple[Path, ...]:
+        """Folders that its files go to besides that of `start`."""
+        ...
+
+    def moved(self, more_folders: tuple[Path, ...], /) -> WorkSpec:
+        """The same work with other `more_folders`."""
+        ...
 
     def start(self, folder: Path) -> Work:
         """Make it; its files go to ``folder``."""

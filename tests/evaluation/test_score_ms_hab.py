@@ -17,9 +17,8 @@ from mjhab.evaluation.resolve import PolicyFacts, resolve_policy
 from mjhab.evaluation.score import manifest as manifests
 from mjhab.evaluation.score.actions import StartKeeper
 from mjhab.evaluation.score.check import check
-from mjhab.evaluation.score.leaderboard import leaderboard
+from mjhab.evaluation.score.leaderboard import PUBLISHED_RESULTS, leaderboard
 from mjhab.evaluation.score.manifest import DRAWER, ScoreHomes, ScoreRow, manifest
-from mjhab.evaluation.score.published import PUBLISHED_RESULTS
 from mjhab.evaluation.score.result import (
     ScoreResult,
     digest_of,

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import random
 import sys
-from types import TracebackType
 from typing import Any
 
 import numpy as np
@@ -55,12 +54,7 @@ class SeededGlobals:
         self._torch = (torch.get_rng_state(), devices)
         torch.manual_seed(self._seed)
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *exception: object) -> None:
         """Put the generators back."""
         random.setstate(self._python)
         np.random.set_state(self._numpy)

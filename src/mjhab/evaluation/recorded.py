@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from mjhab.config.env import EnvConfig
 from mjhab.core.conventions.names import UNWRAPPED
 from mjhab.core.errors import fault, missing_field, unknown_name
+from mjhab.core.typed.options import with_tuples
 from mjhab.data.record.provenance import TRAIN_MAKER
 from mjhab.data.store.episode_data import RunInfo
 from mjhab.scenes.pack_source import pack_request
@@ -29,15 +30,12 @@ def recorded_env(run: RunInfo, **options: Any) -> SequentialTaskEnv:
     """
     from mjhab.envs import make, make_train
 
-    # Shards store lists, configurations need tuples.
     recorded = run.config.get("env")
     if recorded is None:
         raise missing_field(
             "env", "config of the episodes", "Without it they cannot be simulated again."
         )
-    config: dict[str, Any] = {
-        key: tuple(v) if isinstance(v, list) else v for key, v in recorded.items()
-    }
+    config = with_tuples(recorded)
     known = {option.name for option in dataclasses.fields(EnvConfig)}
     for name in config:
         # What this call sets itself cannot come from the recording, too.

@@ -265,3 +265,18 @@ def check_finite(path: Path, tensors: Mapping[str, Tensor]) -> None:
                 f"cannot act: {wrong:,} of the {tensor.numel():,} numbers of its tensor {name} are not finite "
                 "(NaN or infinite). Give another checkpoint, such as one from before the training diverged.",
             )
+
+
+def prefixed(part: str, tensors: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    """The tensors with "<part>/" in front of their names."""
+    return {f"{part}/{name}": value for name, value in tensors.items()}
+
+
+def part_of(part: str, tensors: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    """The tensors whose names start with "<part>/", without that prefix: the inverse of ``prefixed``."""
+    before = f"{part}/"
+    return {
+        name.removeprefix(before): value
+        for name, value in tensors.items()
+        if name.startswith(before)
+    }

@@ -6,6 +6,7 @@ import torch
 from torch import Tensor
 
 from mjhab.core.errors import unknown_name
+from mjhab.core.seeding import stream
 
 CPU = "cpu"
 AUTO = "auto"
@@ -28,6 +29,12 @@ def training_device(name: str) -> torch.device:
     if full not in found:
         raise unknown_name("device", name, [CPU, AUTO, *found])
     return torch.device(full)
+
+
+def generator(seed: int, name: str, number: int) -> torch.Generator:
+    """A generator of torch that begins as the stream of a seed, a name and a number says."""
+    drawn = stream(seed, name, number).integers(1 << 62)
+    return torch.Generator().manual_seed(int(drawn))
 
 
 def normal(

@@ -67,41 +67,16 @@ def mlp(widths: Sequence[int], norm: bool, last: bool = True) -> nn.Sequential:
     return nn.Sequential(*layers)
 
 
-class CameraEncoder(nn.Module):
-    """Encodes an image (B, C, H, W) to (B, features) by convolutions, a linear layer, layer norm and tanh.
-
-    The first convolution has kernel 6 and stride 4, the others kernel 3 and stride 2: on a CPU this takes half the
-    time of stride 2 throughout.
-    """
-
-    def __init__(
-        self, frames: int, size: int, channels: Sequence[int], features: int
-    ) -> None:
-        super().__init__()
-        layers: list[nn.Module] = []
-        before = frames
-        for number, after in enumerate(channels):
-            kernel, stride = (3, 2) if number else (6, 4)
-            layers += [nn.Conv2d(before, after, kernel, stride, padding=1), nn.ReLU()]
-            before = after
-            size = (size + 2 - kernel) // stride + 1
-        self.convolutions = nn.Sequential(*layers, nn.Flatten())
-        self.head = nn.Sequential(
-            nn.Linear(before * size * size, features), nn.LayerNorm(features), nn.Tanh()
-        )
-
-    def forward(self, image: Tensor) -> Tensor:
-        return self.head(self.convolutions(image))
-
-
-class _PublishedCamera(nn.Module):
-    """Image encoder of MS-HAB: convolutions without padding, and a linear layer.
+class _Camera(nn.Module):
+    """Encodes an image (B, C, H, W) to (B, features): convolutions with ReLU, and a linear layer with ``last`` behind.
 
     Args:
         frames: channels of an image.
         size: its width and height [px].
         layers: (channels, kernel, stride) of every convolution.
         features: width of the output.
+        last: layers behind the linear one.
+        padding: of the convolutions [px].
     """
 
     def __init__(
@@ -110,22 +85,42 @@ class _PublishedCamera(nn.Module):
         size: int,
         layers: Iterable[tuple[int, int, int]],
         features: int,
+        last: Sequence[nn.Module],
+        padding: int = 0,
     ) -> None:
         super().__init__()
         made: list[nn.Module] = []
         before = frames
         for after, kernel, stride in layers:
-            made += [nn.Conv2d(before, after, kernel, stride), nn.ReLU()]
+            made += [nn.Conv2d(before, after, kernel, stride, padding), nn.ReLU()]
             before = after
-            size = (size - kernel) // stride + 1
+            size = (size + 2 * padding - kernel) // stride + 1
         self.convolutions = nn.Sequential(*made, nn.Flatten())
-        self.head = nn.Sequential(nn.Linear(before * size * size, features), nn.ReLU())
+        linear = nn.Linear(before * size * size, features)
+        self.head = nn.Sequential(linear, *last)
 
     def forward(self, image: Tensor) -> Tensor:
         return self.head(self.convolutions(image))
 
 
-class PaperCamera(_PublishedCamera):
+class CameraEncoder(_Camera):
+    """Image encoder of the small presets: k6 s4, then k3 s2, a linear layer, layer norm and tanh.
+
+    On a CPU this takes half the time of stride 2 throughout.
+    """
+
+    def __init__(
+        self, frames: int, size: int, channels: Sequence[int], features: int
+    ) -> None:
+        layers = [
+            (width, *((3, 2) if number else (6, 4)))
+            for number, width in enumerate(channels)
+        ]
+        last = (nn.LayerNorm(features), nn.Tanh())
+        super().__init__(frames, size, layers, features, last, padding=1)
+
+
+class PaperCamera(_Camera):
     """Image encoder of MS-HAB's BC: k5 s2 three times, k3 s1 twice, a linear layer (mshab/agents/bc/agent.py)."""
 
     def __init__(
@@ -135,40 +130,31 @@ class PaperCamera(_PublishedCamera):
             (width, *((5, 2) if number < 3 else (3, 1)))
             for number, width in enumerate(channels)
         ]
-        super().__init__(frames, size, layers, features)
+        super().__init__(frames, size, layers, features, (nn.ReLU(),))
 
 
-class NatureCamera(_PublishedCamera):
+class NatureCamera(_Camera):
     """Image encoder of MS-HAB's PPO: k8 s4, k4 s2, k3 s1, a linear layer (mshab/agents/ppo)."""
 
     def __init__(
         self, frames: int, size: int, channels: Sequence[int], features: int
     ) -> None:
         layers = zip(channels, (8, 4, 3), (4, 2, 1), strict=True)
-        super().__init__(frames, size, layers, features)
+        super().__init__(frames, size, layers, features, (nn.ReLU(),))
 
 
-class StridedCamera(nn.Module):
+class StridedCamera(_Camera):
     """Image encoder of MS-HAB's SAC: k3 s2 throughout, a linear layer, layer norm, tanh (mshab/agents/sac)."""
 
     def __init__(
         self, frames: int, size: int, channels: Sequence[int], features: int
     ) -> None:
-        super().__init__()
-        layers: list[nn.Module] = []
-        before = frames
-        for after in channels:
-            layers += [nn.Conv2d(before, after, 3, 2), nn.ReLU()]
-            before = after
-            size = (size - 3) // 2 + 1
+        layers = [(width, 3, 2) for width in channels]
+        last = (nn.LayerNorm(features), nn.Tanh())
+        super().__init__(frames, size, layers, features, last)
         # The last convolution of the original has no ReLU behind it.
-        self.convolutions = nn.Sequential(*layers[:-1], nn.Flatten())
-        self.head = nn.Sequential(
-            nn.Linear(before * size * size, features), nn.LayerNorm(features), nn.Tanh()
-        )
-
-    def forward(self, image: Tensor) -> Tensor:
-        return self.head(self.convolutions(image))
+        *convolutions, _, flat = self.convolutions
+        self.convolutions = nn.Sequential(*convolutions, flat)
 
 
 CAMERA_ENCODERS: dict[str, type[nn.Module]] = {

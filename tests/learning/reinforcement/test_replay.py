@@ -7,7 +7,7 @@ from pathlib import Path
 import torch
 
 from mjhab.learning.reinforcement.agent_encoder import AgentObs
-from mjhab.learning.reinforcement.demonstrations.kept import kept_demonstrations
+from mjhab.learning.reinforcement.algorithm import kept_demonstrations
 from mjhab.learning.reinforcement.replay import ReplayBuffer, ReplayShape
 from tests.refusals import refused
 

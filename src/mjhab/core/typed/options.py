@@ -107,6 +107,14 @@ def fitting(name: str, hint: Any, value: Any, where: str = "") -> Any:
     return _ValueReader(where, plain=False).read(name, hint, value)
 
 
+def with_tuples(options: Mapping[str, Any]) -> dict[str, Any]:
+    """Options that were JSON or msgpack, whose lists become the tuples that fields of configurations have."""
+    return {
+        str(name): tuple(value) if isinstance(value, list) else value
+        for name, value in options.items()
+    }
+
+
 def read_record(kind: Any, value: Any, name: str, where: object = "") -> Any:
     """Plain data of a JSON file as ``kind``, see `fitting`; here an object stands for a dataclass with its fields.
 

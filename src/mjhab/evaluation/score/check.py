@@ -11,6 +11,7 @@ from typing import Any
 
 from mjhab.core.errors import UsageError
 from mjhab.core.seeding import stream
+from mjhab.core.typed.options import with_tuples
 from mjhab.evaluation.evaluate import EvalSpec
 from mjhab.evaluation.parts import make_env
 from mjhab.evaluation.resolve import PolicyFacts
@@ -107,12 +108,10 @@ def _check_row(
     """Replay episodes of one row and one seed."""
     asked = result.manifest
     seed = episodes[0].record.seed
-    options = {
-        name: tuple(value) if isinstance(value, list) else value
-        for name, value in result.facts["policies"][row.name]["env_options"].items()
-        # A replay sees nothing, and drawing would take most of its time.
-        if name not in ("obs_mode", "cameras", "camera_size", "profile")
-    }
+    options = with_tuples(result.facts["policies"][row.name]["env_options"])
+    # A replay sees nothing, and drawing would take most of its time.
+    for name in ("obs_mode", "cameras", "camera_size", "profile"):
+        options.pop(name, None)
     facts = PolicyFacts(str(result.facts["policy"]), env_options=options)
     check_rules(facts, asked.profile)
     options["profile"] = asked.profile

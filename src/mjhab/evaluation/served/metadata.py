@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from mjhab.core.typed.options import with_tuples
 from mjhab.evaluation.served.action_spaces import (
     ACTION_SPACES,
     DEFAULT_SPACE,
@@ -41,11 +42,7 @@ def env_options_of(address: Address, metadata: Mapping[str, Any]) -> dict[str, A
     """Options of an environment with the observations and the control mode that the policy needs."""
     own = own_part(metadata)
     if isinstance(own.get("env"), Mapping):
-        # msgpack turns tuples into lists, but configurations need tuples.
-        return {
-            str(key): tuple(value) if isinstance(value, list) else value
-            for key, value in own["env"].items()
-        }
+        return with_tuples(own["env"])
     size: Any = metadata.get("image_resolution") or IMAGE_SIZE_PX
     size = tuple(size) if isinstance(size, list) else size
     space = space_named(space_of(address, metadata))

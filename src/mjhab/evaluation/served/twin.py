@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from mjhab.core.errors import MjhabError, UsageError, missing_field, wrong_value
+from mjhab.core.typed.options import with_tuples
 from mjhab.core.version import __version__
 from mjhab.data.record.provenance import TRAIN_MAKER
 from mjhab.envs.sequential import SequentialTaskEnv
@@ -121,10 +122,7 @@ class TwinResponder:
     def _make_env(self, config: Mapping[str, Any]) -> Any:
         from mjhab.envs import make, make_train
 
-        options = {
-            key: tuple(value) if isinstance(value, list) else value
-            for key, value in _mapping(config.get("env"), "env").items()
-        }
+        options = with_tuples(_mapping(config.get("env"), "env"))
         named = [name for name in FILES if options.get(name)]
         if named:
             raise wrong_value(

@@ -12,6 +12,7 @@ from mjhab.core.errors import about, fault, wrong_value
 from mjhab.core.files.reading import read_json_object
 from mjhab.core.files.run_folder import CONFIG
 from mjhab.core.joints import BASE, BASE_YAW
+from mjhab.core.typed.options import with_tuples
 from mjhab.data.record.targets import active_entries, targets_in_base
 from mjhab.data.store.places import entries
 from mjhab.data.store.reading import open_shard
@@ -215,10 +216,6 @@ def spec_of_run(config: Mapping[str, Any]) -> EvalSpec:
     }
     if "profile" in config:
         options["profile"] = config["profile"]
-    further = {
-        key: tuple(v) if isinstance(v, list) else v
-        for key, v in config.get("env", {}).items()
-    }
     return EvalSpec.of(
         policy=config["policy"],
         **options,
@@ -227,5 +224,5 @@ def spec_of_run(config: Mapping[str, Any]) -> EvalSpec:
         films=0,
         style=tuple(config.get("style", ())),
         instruction=config.get("instruction", ""),
-        env=further,
+        env=with_tuples(config.get("env", {})),
     )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -53,6 +53,15 @@ class AgentObs:
     vector: Tensor
     images: Tensor
     privileged: Tensor
+
+    @classmethod
+    def join(cls, parts: Sequence[AgentObs]) -> AgentObs:
+        """The rows of several, one after the other."""
+        return cls(
+            torch.cat([part.vector for part in parts]),
+            torch.cat([part.images for part in parts]),
+            torch.cat([part.privileged for part in parts]),
+        )
 
     def to(self, device: torch.device) -> AgentObs:
         """Copy on another device."""
@@ -120,9 +129,7 @@ class AgentEncoder:
         if not self._privileged:
             # A tensor of width 0, so that all code behind it is the same with and without.
             return torch.zeros(worlds, 0, device=self.env_device)
-        state = self._env.state
-        parts = [state.robot_q, state.robot_qd, state.link_q, state.link_qd]
-        columns = [torch.as_tensor(part).float() for part in parts]
+        columns = [torch.as_tensor(part).float() for part in self._joints]
         numbers = [
             torch.as_tensor(info["steps_left"]).float() / self._horizon,
             torch.as_tensor(info["robot_force"]).float() / FORCE_SCALE_N,
@@ -136,7 +143,11 @@ class AgentEncoder:
         """Width P of the privileged input."""
         if not self._privileged:
             return 0
-        state = self._env.state
-        parts = (state.robot_q, state.robot_qd, state.link_q, state.link_qd)
-        joints = sum(part.shape[1] for part in parts)
+        joints = sum(part.shape[1] for part in self._joints)
         return joints + 3 + len(PRIVILEGED_CHECKS)
+
+    @property
+    def _joints(self) -> tuple[Any, ...]:
+        """Positions and velocities (W, J) of the joints of robot and furniture."""
+        state = self._env.state
+        return (state.robot_q, state.robot_qd, state.link_q, state.link_qd)

@@ -40,18 +40,3 @@ def restore_optimizer(
             )
         state.setdefault(entry, {})[name] = value
     optimizer.load_state_dict({**optimizer.state_dict(), "state": state})
-
-
-def prefixed(part: str, tensors: Mapping[str, Tensor]) -> dict[str, Tensor]:
-    """The tensors with "<part>/" in front of their names."""
-    return {f"{part}/{name}": value for name, value in tensors.items()}
-
-
-def part_of(part: str, tensors: Mapping[str, Tensor]) -> dict[str, Tensor]:
-    """The tensors whose names start with "<part>/", without that prefix: the inverse of ``prefixed``."""
-    before = f"{part}/"
-    return {
-        name.removeprefix(before): value
-        for name, value in tensors.items()
-        if name.startswith(before)
-    }

@@ -20,7 +20,6 @@ import time
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 from rich.console import Console
@@ -186,17 +185,12 @@ class Logbook:
         return table
 
     def __enter__(self) -> Logbook:
-        self._live.__enter__()
+        self._live.start()
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *exception: object) -> None:
         self._live.update(self._table(), refresh=True)
-        self._live.__exit__(kind, error, trace)
+        self._live.stop()
         if not self._live.console.is_terminal:
             # In a file the table has no end of line, and an error message would follow its frame.
             self._live.console.line()

@@ -10,8 +10,9 @@ import torch
 from torch import Tensor
 
 from mjhab.core.errors import MjhabError
-from mjhab.core.seeding import stream
+from mjhab.learning.checkpoint import part_of, prefixed
 from mjhab.learning.configs import OptimizerConfig
+from mjhab.learning.devices import generator
 from mjhab.learning.students.student import Batch, Student
 
 WEIGHTS = "weights"
@@ -65,9 +66,7 @@ class Trainer:
             BrokenLossError: the loss or the gradient is not finite; the weights are unchanged.
         """
         config = self.config
-        random = torch.Generator().manual_seed(
-            int(stream(self.seed, "update", self.step).integers(1 << 62))
-        )
+        random = generator(self.seed, "update", self.step)
         self.student.train()
         loss = self.student.loss(batch, random)
         value = float(loss.detach())
@@ -125,11 +124,8 @@ class Trainer:
 
     def tensors(self) -> dict[str, Tensor]:
         """State that the next update depends on, except ``step``, as named tensors for a checkpoint."""
-        found: dict[str, Tensor] = {}
-        for name, value in self.student.state_dict().items():
-            found[f"{WEIGHTS}/{name}"] = value
-        for name, value in self.average.state_dict().items():
-            found[f"{AVERAGE}/{name}"] = value
+        found = prefixed(WEIGHTS, self.student.state_dict())
+        found |= prefixed(AVERAGE, self.average.state_dict())
         for name, parameter in self.student.named_parameters():
             state = self.optimizer.state.get(parameter)
             # Before the first update there is none.
@@ -144,10 +140,10 @@ class Trainer:
         Raises:
             RuntimeError, KeyError, ValueError: they are those of another network.
         """
-        self.student.load_state_dict(_part(tensors, WEIGHTS))
-        self.average.load_state_dict(_part(tensors, AVERAGE))
-        first = _part(tensors, FIRST_MOMENT)
-        second = _part(tensors, SECOND_MOMENT)
+        self.student.load_state_dict(part_of(WEIGHTS, tensors))
+        self.average.load_state_dict(part_of(AVERAGE, tensors))
+        first = part_of(FIRST_MOMENT, tensors)
+        second = part_of(SECOND_MOMENT, tensors)
         for name, parameter in self.student.named_parameters():
             if name in first:
                 if not first[name].shape == second[name].shape == parameter.shape:
@@ -161,11 +157,3 @@ class Trainer:
                     "exp_avg_sq": second[name].to(parameter.device, copy=True),
                 }
         self.step = step
-
-
-def _part(tensors: dict[str, Tensor], part: str) -> dict[str, Tensor]:
-    return {
-        name.removeprefix(f"{part}/"): value
-        for name, value in tensors.items()
-        if name.startswith(f"{part}/")
-    }

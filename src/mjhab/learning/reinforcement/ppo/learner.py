@@ -9,7 +9,7 @@ import torch
 from torch import Tensor, nn
 
 from mjhab.core.arithmetic.sums import ordered_sum
-from mjhab.core.seeding import stream
+from mjhab.learning.devices import generator
 from mjhab.learning.networks import Normalizer
 from mjhab.learning.reinforcement.agent_encoder import AgentObs
 from mjhab.learning.reinforcement.configs import ReinforcementConfig
@@ -117,7 +117,7 @@ class PpoLearner:
                 stds.append(drawn.log_std.exp())
                 transitions.append(self.worlds.step(action))
                 tell(transitions[-1])
-        seen = _joined(rows)
+        seen = AgentObs.join(rows)
         outcomes = self._outcomes(seen, transitions)
         estimate = finite_horizon_advantages if self.config.finite_horizon else advantages
         gains = estimate(outcomes, self.config.gamma, self.config.gae_lambda)
@@ -148,7 +148,7 @@ class PpoLearner:
         next_values = torch.empty_like(values)
         # Values are computed once for each observation, as the one after a step is the one before the next.
         next_values[:-1] = values[1:]
-        next_values[is_last] = self._values(_joined(last))
+        next_values[is_last] = self._values(AgentObs.join(last))
         return Outcomes(
             torch.stack([t.reward for t in transitions]),
             values,
@@ -167,8 +167,7 @@ class PpoLearner:
 
     def _random(self, what: str) -> torch.Generator:
         # Named by the update, so that a resumed run draws as one that went on.
-        drawn = stream(self.seed, f"ppo-{what}", self.updates).integers(1 << 62)
-        return torch.Generator().manual_seed(int(drawn))
+        return generator(self.seed, f"ppo-{what}", self.updates)
 
     # -- learning -----------------------------------------------------------------------------------------------------
 
@@ -361,11 +360,3 @@ class PpoLearner:
             self.privileged.fit([value.privileged], seen.privileged.shape[1])
         distributed.average([part.mean for part in normalizers])
         distributed.average([part.scale for part in normalizers])
-
-
-def _joined(rows: list[AgentObs]) -> AgentObs:
-    return AgentObs(
-        torch.cat([row.vector for row in rows]),
-        torch.cat([row.images for row in rows]),
-        torch.cat([row.privileged for row in rows]),
-    )

@@ -9,14 +9,9 @@ import torch
 from torch import Tensor
 from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
-from mjhab.learning.checkpoint import restoring
+from mjhab.learning.checkpoint import part_of, prefixed, restoring
 from mjhab.learning.reinforcement.algorithm import AlgorithmRun
-from mjhab.learning.reinforcement.keeping import (
-    optimizer_tensors,
-    part_of,
-    prefixed,
-    restore_optimizer,
-)
+from mjhab.learning.reinforcement.keeping import optimizer_tensors, restore_optimizer
 from mjhab.learning.reinforcement.ppo.agent import Ppo
 from mjhab.learning.reinforcement.ppo.learner import PpoLearner
 from mjhab.learning.reinforcement.session import ReinforcementSession

@@ -8,7 +8,7 @@ from contextlib import contextmanager
 import torch
 from torch import Tensor, nn
 
-from mjhab.core.seeding import stream
+from mjhab.learning.devices import generator
 from mjhab.learning.reinforcement.agent_encoder import AgentObs
 from mjhab.learning.reinforcement.configs import ReinforcementConfig, SacConfig
 from mjhab.learning.reinforcement.finite import check_finite, gradient_norm
@@ -49,8 +49,7 @@ class SacLearner:
 
     def random(self, what: str) -> torch.Generator:
         """Random generator of the current update for one purpose, named by ``what``."""
-        drawn = stream(self.seed, f"sac-{what}", self.updates).integers(1 << 62)
-        return torch.Generator().manual_seed(int(drawn))
+        return generator(self.seed, f"sac-{what}", self.updates)
 
     def batch(
         self, online: ReplayBuffer, demonstrations: ReplayBuffer | None
@@ -193,17 +192,10 @@ def _frozen(parameters: list[nn.Parameter]) -> Iterator[None]:
 
 
 def _joined(first: Transitions, second: Transitions) -> Transitions:
-    def seen(a: AgentObs, b: AgentObs) -> AgentObs:
-        return AgentObs(
-            torch.cat([a.vector, b.vector]),
-            torch.cat([a.images, b.images]),
-            torch.cat([a.privileged, b.privileged]),
-        )
-
     return Transitions(
-        seen(first.seen, second.seen),
+        AgentObs.join([first.seen, second.seen]),
         torch.cat([first.actions, second.actions]),
         torch.cat([first.reward, second.reward]),
-        seen(first.next_seen, second.next_seen),
+        AgentObs.join([first.next_seen, second.next_seen]),
         torch.cat([first.terminated, second.terminated]),
     )

@@ -8,15 +8,10 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from mjhab.core.seeding import stream
-from mjhab.learning.checkpoint import restoring
+from mjhab.learning.checkpoint import part_of, prefixed, restoring
+from mjhab.learning.devices import generator
 from mjhab.learning.reinforcement.algorithm import AlgorithmRun
-from mjhab.learning.reinforcement.keeping import (
-    optimizer_tensors,
-    part_of,
-    prefixed,
-    restore_optimizer,
-)
+from mjhab.learning.reinforcement.keeping import optimizer_tensors, restore_optimizer
 from mjhab.learning.reinforcement.replay import ReplayBuffer
 from mjhab.learning.reinforcement.running import RunningStatistics
 from mjhab.learning.reinforcement.sac.agent import Sac
@@ -143,7 +138,9 @@ class SacRun(AlgorithmRun):
         worlds = self.session.worlds
         seen = worlds.seen
         with torch.no_grad():
-            random = self._noise()
+            # By the number of samples, which a checkpoint holds.
+            samples = self.session.state.samples
+            random = generator(self.session.seed, "sac-act", samples)
             if (
                 self.session.state.samples < self.sac.warm_up
                 and self.session.start is None
@@ -161,11 +158,6 @@ class SacRun(AlgorithmRun):
         if len(ended):
             self.online.close(ended, transition.next_seen.rows(ended))
         self.session.note(transition)
-
-    def _noise(self) -> torch.Generator:
-        # By the number of samples, which a checkpoint holds.
-        drawn = stream(self.session.seed, "sac-act", self.session.state.samples)
-        return torch.Generator().manual_seed(int(drawn.integers(1 << 62)))
 
     def _update(self) -> dict[str, float]:
         state = self.session.state

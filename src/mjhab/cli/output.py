@@ -12,6 +12,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from mjhab.core.progress import say
 from mjhab.rollout.records import skips_text
 
 PIPED_WIDTH = 10_000
@@ -29,7 +30,7 @@ def tell_caution(summary: Mapping[str, Any]) -> None:
     """Warn on stderr of a policy, as the configuration or description that records it does, if it does."""
     caution = summary.get("policy_caution")
     if caution:
-        print(f"mjhab: {caution}", file=sys.stderr)
+        say(f"mjhab: {caution}")
 
 
 class Listing(NamedTuple):
@@ -61,10 +62,7 @@ def report(json: bool, facts: Mapping[str, Any], *parts: Listing | str | None) -
 def tell_skipped(skipped: Mapping[str, int]) -> None:
     """Tell on stderr which homes had no room and were skipped, if any; ``skipped``: number of episodes by home."""
     if skipped:
-        print(
-            f"mjhab: skipped, because they have no room: {skips_text(skipped)}",
-            file=sys.stderr,
-        )
+        say(f"mjhab: skipped, because they have no room: {skips_text(skipped)}")
 
 
 def print_table(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 from typing import TYPE_CHECKING
 
-from mjhab.cli.output import print_json
+from mjhab.cli.output import print_json, report
 from mjhab.core.action_notes import HUMAN
 from mjhab.core.files.interrupts import sigterm_interrupts
 from mjhab.data.select.query import read_filter
@@ -40,11 +40,9 @@ def _export(spec: ViewSpec, json: bool) -> int:
         done = export_page(replay, title, spec.export, stills)
     finally:
         replay.close()
-    if json:
-        counted = {"bytes": done.bytes, "frames": done.frames, "stills": len(stills)}
-        print_json({"file": str(done.file), **counted})
-    else:
-        print(f"{done.file}: {done.frames} frames, {done.bytes:,} bytes")
+    counted = {"bytes": done.bytes, "frames": done.frames, "stills": len(stills)}
+    said = f"{done.file}: {done.frames} frames, {done.bytes:,} bytes"
+    report(json, {"file": str(done.file), **counted}, said)
     return 0
 
 

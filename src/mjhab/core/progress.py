@@ -39,6 +39,22 @@ def progress_bar(what: str, total: int) -> Iterator[Callable[[], None]]:
         yield lambda: progress.advance(bar)
 
 
+def work_bar(note: str = "{task.fields[note]}") -> Progress:
+    """A bar on stderr of work whose tasks are added by `Progress.add_task`.
+
+    Args:
+        note: what stands behind the numbers, a text of rich with fields of the task.
+    """
+    return Progress(
+        TextColumn("[bold]{task.description}"),
+        BarColumn(bar_width=20),
+        MofNCompleteColumn(),
+        TextColumn(note),
+        TimeRemainingColumn(elapsed_when_finished=True),
+        console=Console(stderr=True),
+    )
+
+
 @contextmanager
 def late_bar(what: str) -> Iterator[Callable[[int], Callable[[], None]]]:
     """A bar that is begun by whoever learns how long it will be; gives what `progress_bar` gives."""

@@ -23,6 +23,7 @@ from mjhab.core.errors import MjhabError, UsageError, fault
 from mjhab.core.files.reading import read_json_object
 from mjhab.core.files.run_folder import write_text
 from mjhab.core.machine import cores
+from mjhab.core.progress import say
 from mjhab.core.version import __version__
 from mjhab.data.store.episode_data import last_label
 from mjhab.data.store.places import episodes
@@ -263,7 +264,7 @@ def main(words: Sequence[str] | None = None) -> int:
             for run, judged in zip(places[::2], places[1::2], strict=True)
         ]
     except MjhabError as error:
-        print(f"mjhab: {error}", file=sys.stderr)
+        say(f"mjhab: {error}")
         return 1
     write_rows(path, rows)
     for row in rows:

@@ -211,71 +211,74 @@ def _short(assets: str) -> str:
     return Path(assets).name
 
 
+_CSV_COLUMNS = (
+    "pack",
+    "split",
+    "profile",
+    "task",
+    "subtask",
+    "target",
+    "navigate",
+    "episodes",
+    "success_once",
+    "low_95",
+    "high_95",
+    "success_at_end",
+    "under_1400_sum",
+    "under_1400_peak",
+    "tainted",
+    "asked",
+    "paper_rl_per",
+    "paper_table",
+    "ours_minus_paper",
+    "failures",
+    "progressive",
+    "error",
+)
+
+
 def _csv(results: Sequence[RowResult], profile: str) -> str:
     """The table for spreadsheets: rates in percent, one line per row, groups of targets last."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(
-        (
-            "pack",
-            "split",
-            "profile",
-            "task",
-            "subtask",
-            "target",
-            "navigate",
-            "episodes",
-            "success_once",
-            "low_95",
-            "high_95",
-            "success_at_end",
-            "under_1400_sum",
-            "under_1400_peak",
-            "tainted",
-            "asked",
-            "paper_rl_per",
-            "paper_table",
-            "ours_minus_paper",
-            "failures",
-            "progressive",
-            "error",
+    writer.writerow(_CSV_COLUMNS)
+    for result in results:
+        writer.writerow(_csv_row(result, profile))
+    return text.getvalue()
+
+
+def _csv_row(r: RowResult, profile: str) -> tuple[object, ...]:
+    low, high = r.interval if r.episodes else (None, None)
+    rates = (
+        _percent(value)
+        for value in (
+            r.success_once,
+            low,
+            high,
+            r.success_at_end,
+            r.gentle,
+            r.gentle_peak,
         )
     )
-    for r in results:
-        low, high = r.interval if r.episodes else (None, None)
-        rates = (
-            _percent(value)
-            for value in (
-                r.success_once,
-                low,
-                high,
-                r.success_at_end,
-                r.gentle,
-                r.gentle_peak,
-            )
-        )
-        writer.writerow(
-            (
-                r.pack,
-                r.split,
-                profile,
-                r.task,
-                r.subtask,
-                r.target,
-                r.navigate,
-                r.episodes,
-                *rates,
-                r.tainted,
-                _percent(r.asked),
-                _percent(r.paper),
-                r.paper_table,
-                r.over_paper,
-                "; ".join(f"{n} {name}" for name, n in r.failures.items()),
-                " ".join(f"{100 * share:.1f}" for share in r.progressive),
-                r.error,
-            )
-        )
-    return text.getvalue()
+    return (
+        r.pack,
+        r.split,
+        profile,
+        r.task,
+        r.subtask,
+        r.target,
+        r.navigate,
+        r.episodes,
+        *rates,
+        r.tainted,
+        _percent(r.asked),
+        _percent(r.paper),
+        r.paper_table,
+        r.over_paper,
+        "; ".join(f"{n} {name}" for name, n in r.failures.items()),
+        " ".join(f"{100 * share:.1f}" for share in r.progressive),
+        r.error,
+    )
 
 
 def _percent(rate: float | None) -> float | None:

@@ -222,24 +222,14 @@ def measure_interact(
                 device=spec.asked.device,
                 threads=spec.asked.threads,
             )
-            warm(bench)
-            mine = []
-            for seed in range(1, spec.seeds + 1):
-                mine.append(
-                    {"worlds": worlds, "seed": seed} | measure_run(bench, spec.steps)
-                )
-                advance()
-            points.append(
-                summarize(mine)
-                | {"moved": bench.moved(), "tainted_worlds": bench.tainted()}
-            )
-            stages, pictures = stage_times(bench, min(spec.steps, STAGE_STEPS))
-            points[-1] |= stages
+            mine, point, pictures = _measure_worlds(bench, worlds, spec, advance)
+            points.append(point)
             device = str(getattr(bench.sim, "device", "cpu"))
             runs += [
                 {"backend": backend, "device": device, "render": render, **run}
                 for run in mine
             ]
+            # Its worlds would take the memory that the next number of worlds is measured in.
             del bench
     common = {
         "backend": backend,
@@ -253,6 +243,20 @@ def measure_interact(
         runs,
         pictures,
     )
+
+
+def _measure_worlds(
+    bench: InteractBench, worlds: int, spec: InteractSpec, advance: Callable[[], None]
+) -> tuple[list[dict[str, Any]], dict[str, Any], Pictures]:
+    """The runs of one number of worlds, their point, and pictures of a world in the midst of it."""
+    warm(bench)
+    runs = []
+    for seed in range(1, spec.seeds + 1):
+        runs.append({"worlds": worlds, "seed": seed} | measure_run(bench, spec.steps))
+        advance()
+    outcome = {"moved": bench.moved(), "tainted_worlds": bench.tainted()}
+    stages, pictures = stage_times(bench, min(spec.steps, STAGE_STEPS))
+    return runs, summarize(runs) | outcome | stages, pictures
 
 
 def warm(bench: InteractBench) -> None:

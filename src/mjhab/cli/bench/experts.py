@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -15,9 +14,10 @@ from mjhab.bench.experts.rows import CHAIN, ExpertRow, RowResult
 from mjhab.bench.experts.run import REPORT, Measured, Measurement, measure_experts
 from mjhab.bench.specs import ExpertsSpec
 from mjhab.cli.exits import INTERRUPTED, stopped
-from mjhab.cli.output import print_json, print_table
+from mjhab.cli.output import Listing, report
 from mjhab.core.arithmetic.sums import ordered_sum
 from mjhab.core.files.interrupts import stop_signals
+from mjhab.core.progress import say
 
 CHAIN_WEIGHT = 8.0
 """Duration of a whole task in units of a single subtask, for the estimate of the remaining time."""
@@ -78,14 +78,11 @@ def _weight(counts: Mapping[ExpertRow, int]) -> float:
 
 def _tell(spec: ExpertsSpec, found: Measurement, seconds: float, json: bool) -> None:
     for row, error in found.errors.items():
-        print(f"mjhab: {row.name} could not be measured: {error}", file=sys.stderr)
+        say(f"mjhab: {row.name} could not be measured: {error}")
     if found.left:
         stopped(f"{found.left} episodes are left")
-    if json:
-        print_json(_summary(spec, found, seconds))
-        return
     of = f"{spec.asked.split}, profile {spec.asked.profile}"
-    _print_singles([r for r in found.results if r.subtask != CHAIN], of)
+    parts = _singles([r for r in found.results if r.subtask != CHAIN], of)
     chains = [result for result in found.results if result.subtask == CHAIN]
     if chains:
         columns = (
@@ -97,8 +94,9 @@ def _tell(spec: ExpertsSpec, found: Measurement, seconds: float, json: bool) -> 
             "completed 1, 2, ... subtasks",
         )
         title = f"Progressive completion, {of} [%]"
-        print_table(title, columns, map(_chain_cells, chains))
-    print(f"report: {spec.out / REPORT}")
+        parts.append(Listing(title, columns, map(_chain_cells, chains)))
+    page = f"report: {spec.out / REPORT}"
+    report(json, _summary(spec, found, seconds), *parts, page)
 
 
 def _summary(spec: ExpertsSpec, found: Measurement, seconds: float) -> dict[str, Any]:
@@ -118,12 +116,15 @@ def _summary(spec: ExpertsSpec, found: Measurement, seconds: float) -> dict[str,
     }
 
 
-def _print_singles(singles: Sequence[RowResult], of: str) -> None:
-    """Print one table per pack and task; ``of``: which homes and profile."""
+def _singles(singles: Sequence[RowResult], of: str) -> list[Listing]:
+    """One table per pack and task; ``of``: which homes and profile."""
     columns = ("subtask", "target", "n", "once", "95 %", "< 1,400 N", "asked", "paper")
+    tables = []
     for pack, task in dict.fromkeys((result.pack, result.task) for result in singles):
         rows = [_cells(r) for r in singles if (r.pack, r.task) == (pack, task)]
-        print_table(f"{task}, {pack} homes, {of}: success once [%]", columns, rows)
+        title = f"{task}, {pack} homes, {of}: success once [%]"
+        tables.append(Listing(title, columns, rows))
+    return tables
 
 
 def name_of(result: RowResult) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from mjhab.cli.exits import stopped
-from mjhab.cli.output import print_json
+from mjhab.cli.output import report
 from mjhab.core.files.interrupts import sigterm_interrupts
 from mjhab.core.progress import late_bar
 from mjhab.evaluation.datasets.export import run_lerobot, run_maniskill
@@ -25,42 +25,30 @@ def run_export(spec: ExportSpec, json: bool) -> int:
 def _lerobot(spec: LerobotSpec, json: bool) -> int:
     with late_bar("exporting") as begin:
         done = run_lerobot(spec, begin)
-    if json:
-        print_json(
-            {
-                "episodes": done.episodes,
-                "frames": done.frames,
-                "images": list(done.images),
-            }
-        )
-        return 0
     images = (
         f"with {', '.join(done.images)}"
         if done.images
         else "without images (mjhab replay --render adds them)"
     )
-    print(f"{done.episodes} episodes, {done.frames:,} frames, {images}: {spec.out}")
+    report(
+        json,
+        {**vars(done), "images": list(done.images)},
+        f"{done.episodes} episodes, {done.frames:,} frames, {images}: {spec.out}",
+    )
     return 0
 
 
 def _maniskill(spec: ManiskillSpec, json: bool) -> int:
     with late_bar("exporting") as begin:
         done = run_maniskill(spec, begin)
-    if json:
-        print_json(
-            {
-                "episodes": done.episodes,
-                "frames": done.frames,
-                "files": [str(path) for path in done.files],
-            }
-        )
-        return 0
-    print(
-        f"{done.episodes} episodes, {done.frames:,} frames in {len(done.files)} files: {spec.out}"
+    files = [str(path) for path in done.files]
+    report(
+        json,
+        {"episodes": done.episodes, "frames": done.frames, "files": files},
+        f"{done.episodes} episodes, {done.frames:,} frames in {len(files)} files: {spec.out}",
+        f"{done.without_depth} of them have no depth images, which MS-HAB's training scripts need; "
+        "mjhab replay --render adds them"
+        if done.without_depth
+        else "",
     )
-    if done.without_depth:
-        print(
-            f"{done.without_depth} of them have no depth images, which MS-HAB's training scripts need; "
-            "mjhab replay --render adds them"
-        )
     return 0

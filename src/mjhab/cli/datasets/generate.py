@@ -3,23 +3,15 @@
 from __future__ import annotations
 
 import dataclasses
-import sys
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
-
 from mjhab.cli.exits import INTERRUPTED, stopped
-from mjhab.cli.output import (
-    print_json,
-    print_table,
-    tell_caution,
-    tell_skipped,
-)
+from mjhab.cli.output import Listing, report, tell_caution, tell_skipped
 from mjhab.core.files.interrupts import stop_signals
+from mjhab.core.progress import say, work_bar
 from mjhab.data.record.job import Standing
 from mjhab.evaluation.generate import GeneratedData, run_generation
 from mjhab.evaluation.specs import GenerateSpec
@@ -44,16 +36,10 @@ def run_generate(spec: GenerateSpec, json: bool) -> int:
 
 @contextmanager
 def _progress(spec: GenerateSpec) -> Iterator[Callable[[Standing], None]]:
-    columns = (
-        TextColumn("[bold]{task.description}"),
-        BarColumn(bar_width=20),
-        TextColumn("{task.completed:.0f}/{task.total:.0f}{task.fields[what]}"),
-        TimeRemainingColumn(),
-    )
     begun = time.perf_counter()
-    with Progress(*columns, console=Console(stderr=True)) as bar:
+    with work_bar() as bar:
         name = f"{spec.asked.task} {spec.asked.subtask or 'chain'}"
-        task = bar.add_task(name, total=spec.per_target or spec.max_tries, what="")
+        task = bar.add_task(name, total=spec.per_target or spec.max_tries, note="")
 
         def tell(now: Standing) -> None:
             done = now.kept if now.wanted else now.tried
@@ -64,7 +50,7 @@ def _progress(spec: GenerateSpec) -> Iterator[Callable[[Standing], None]]:
                 task,
                 completed=done,
                 total=max(total, 1),
-                what=f"{share}, {rate:,.0f} episodes/h",
+                note=f"{share}, {rate:,.0f} episodes/h",
             )
 
         yield tell
@@ -76,26 +62,23 @@ def _tell(json: bool, made: GeneratedData, interrupted: bool) -> None:
     if interrupted:
         stopped(f"{done.kept} episodes are kept in {made.path}")
     elif made.is_short:
-        print(
+        say(
             f"mjhab: only {done.kept} of {done.wanted} episodes passed of {done.tried} that were tried. A larger "
-            "--episodes with --resume tries more.",
-            file=sys.stderr,
+            "--episodes with --resume tries more."
         )
     if done.errors:
         reason, count = Counter(done.errors).most_common(1)[0]
-        print(
+        say(
             f"mjhab: the policy could not finish {numbers['errors']} episodes. They are not kept; the same command "
-            f"with --resume tries them again. {count} of them: {reason}",
-            file=sys.stderr,
+            f"with --resume tries them again. {count} of them: {reason}"
         )
     tell_caution(made.config)
     tell_skipped(numbers["skipped_homes"])
-    if json:
-        print_json(numbers)
-        return
     rows = [(label or "none", count) for label, count in numbers["labels"].items()]
-    print_table(f"Episodes in {made.path}", ("label", "kept"), rows)
-    print(
+    report(
+        json,
+        numbers,
+        Listing(f"Episodes in {made.path}", ("label", "kept"), rows),
         f"{done.kept} episodes kept, {done.written} of them written now, {done.tried} tried; "
-        f"{numbers['episodes_per_hour']:,.0f} episodes per hour, {numbers['bytes_per_episode']:,} bytes per episode"
+        f"{numbers['episodes_per_hour']:,.0f} episodes per hour, {numbers['bytes_per_episode']:,} bytes per episode",
     )

@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
-import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
-
 from mjhab.cli.exits import stopped
 from mjhab.cli.output import Listing, report
 from mjhab.core.files.interrupts import stop_signals
+from mjhab.core.progress import say, work_bar
 from mjhab.data.record.job import Standing
 from mjhab.evaluation.publishing.check import check_set
 from mjhab.evaluation.publishing.make import run_making
@@ -33,10 +30,9 @@ def run_make(spec: DatasetSpec, json: bool) -> int:
     if not made.about:
         return stopped(f"finished episodes are kept in {made.path}", again="")
     for name, (kept, tried) in made.short.items():
-        print(
+        say(
             f"mjhab: {name}: only {kept} demonstrations among {tried} episodes that were tried. A larger --episodes "
-            "tries more.",
-            file=sys.stderr,
+            "tries more."
         )
     about: dict[str, Any] = dict(made.about)
     rows = [(name, *each.values()) for name, each in about["per_target"].items()]
@@ -65,13 +61,7 @@ def run_check(spec: DatasetCheckSpec, json: bool) -> int:
 
 @contextmanager
 def _progress(spec: DatasetSpec) -> Iterator[Callable[[ScoreRow, Standing], None]]:
-    columns = (
-        TextColumn("[bold]{task.description}"),
-        BarColumn(bar_width=20),
-        TextColumn("{task.completed:.0f}/{task.total:.0f}"),
-        TimeRemainingColumn(),
-    )
-    with Progress(*columns, console=Console(stderr=True)) as bar:
+    with work_bar(note="") as bar:
         tasks = {
             name: bar.add_task(name, total=spec.per_target) for name in spec.chosen()
         }

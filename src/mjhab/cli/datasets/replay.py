@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from mjhab.cli.output import print_json, print_table, report
+from mjhab.cli.output import Listing, report
 from mjhab.core.progress import progress_bar
 from mjhab.data.store.places import entries
 from mjhab.evaluation.datasets.actions import replay_converted
@@ -38,53 +38,43 @@ def _convert(spec: ReplaySpec, json: bool) -> int:
 def _verify(spec: ReplaySpec, json: bool) -> int:
     with progress_bar("replaying", _count(spec)) as advance:
         found = run_verification(spec, advance)
-    if json:
-        error = found.max_error if math.isfinite(found.max_error) else None
-        others = {"unlike": len(found.unlike), "moved": len(found.moved)}
-        print_json(
-            {
-                "episodes": found.episodes,
-                "exact": found.exact,
-                "max_error": error,
-                **others,
-            }
-        )
-    else:
-        if found.wrong:
-            rows = [
-                (name, "yes" if name in found.unlike else "", what)
-                for name, what in found.wrong.items()
-            ]
-            print_table(
-                "Not as recorded",
-                ("episode", "other model", "what differs"),
-                rows[:_MOST_ROWS],
-            )
-        print(
-            f"{found.exact} of {found.episodes} episodes exact, largest difference {found.max_error:g}"
-        )
-        if found.moved:
-            print(
-                f"{len(found.moved)} of them have another start state here and were replayed from the recorded one."
-            )
-        if found.wrong and found.unlike:
-            print(
-                "Other model: the home compiles to another model here than when it was recorded, with another version "
-                "of mjhab or of its assets (see `versions` and `commit` in the shard)."
-            )
+    facts = {
+        "episodes": found.episodes,
+        "exact": found.exact,
+        "max_error": found.max_error if math.isfinite(found.max_error) else None,
+        "unlike": len(found.unlike),
+        "moved": len(found.moved),
+    }
+    rows = [
+        (name, "yes" if name in found.unlike else "", what)
+        for name, what in found.wrong.items()
+    ]
+    columns = ("episode", "other model", "what differs")
+    report(
+        json,
+        facts,
+        Listing("Not as recorded", columns, rows[:_MOST_ROWS]) if rows else None,
+        f"{found.exact} of {found.episodes} episodes exact, largest difference {found.max_error:g}",
+        f"{len(found.moved)} of them have another start state here and were replayed from the recorded one."
+        if found.moved
+        else "",
+        "Other model: the home compiles to another model here than when it was recorded, with another version "
+        "of mjhab or of its assets (see `versions` and `commit` in the shard)."
+        if rows and found.unlike
+        else "",
+    )
     return 0 if found.exact == found.episodes else 1
 
 
 def _render(spec: ReplaySpec, json: bool) -> int:
     with progress_bar("drawing", _count(spec)) as advance:
         done = run_rendering(spec, advance)
-    if json:
-        print_json(vars(done))
-    else:
-        print(
-            f"{done.episodes} episodes, {done.frames} frames each camera and image, {done.bytes:,} bytes in "
-            f"{spec.out}; {done.present} were there already"
-        )
+    report(
+        json,
+        vars(done),
+        f"{done.episodes} episodes, {done.frames} frames each camera and image, {done.bytes:,} bytes in "
+        f"{spec.out}; {done.present} were there already",
+    )
     return 0
 
 

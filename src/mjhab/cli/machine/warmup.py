@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import sys
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -11,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from mjhab.cli.output import Listing, report
 from mjhab.config.env_spec import PROFILE, EnvSpec, env_options
+from mjhab.core.progress import say
 from mjhab.sim.backends import resolve
 
 if TYPE_CHECKING:
@@ -148,7 +148,7 @@ class _Work:
 
 
 def _timed(name: str, work: Callable[[], None]) -> float:
-    print(f"mjhab: compiling: {name} ...", file=sys.stderr, flush=True)
+    say(f"mjhab: compiling: {name} ...")
     begun = time.perf_counter()
     work()
     return round(time.perf_counter() - begun, 2)

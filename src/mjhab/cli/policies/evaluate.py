@@ -2,32 +2,18 @@
 
 from __future__ import annotations
 
-import sys
 import time
 from collections import Counter
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
-from rich.console import Console
-from rich.progress import (
-    BarColumn,
-    MofNCompleteColumn,
-    Progress,
-    TextColumn,
-    TimeRemainingColumn,
-)
-
 from mjhab.cli.exits import INTERRUPTED, WITH_RESUME, stopped
-from mjhab.cli.output import (
-    print_json,
-    print_table,
-    tell_caution,
-    tell_skipped,
-)
+from mjhab.cli.output import Listing, report, tell_caution, tell_skipped
 from mjhab.cli.streams import with_way_on
 from mjhab.core.files.interrupts import sigterm_interrupts
+from mjhab.core.progress import say, work_bar
 from mjhab.core.typed.bounds import Output
 from mjhab.core.typed.flags import Flag
 from mjhab.core.typed.options import take_options
@@ -101,14 +87,7 @@ class ProgressSink(Sink[RolloutEnv]):
     """Time between updates [s]."""
 
     def __init__(self, spec: EvalSpec) -> None:
-        self._bar = Progress(
-            TextColumn("[bold]{task.description}"),
-            BarColumn(bar_width=20),
-            MofNCompleteColumn(),
-            TextColumn("{task.fields[rate]}{task.fields[success]}"),
-            TimeRemainingColumn(elapsed_when_finished=True),
-            console=Console(stderr=True),
-        )
+        self._bar = work_bar("{task.fields[rate]}{task.fields[success]}")
         self._total = spec.episodes
         name = f"{spec.asked.task} {spec.asked.subtask}".strip()
         self._task = self._bar.add_task(
@@ -152,46 +131,56 @@ class ProgressSink(Sink[RolloutEnv]):
         )
 
 
+_COLUMNS = (
+    "#",
+    "subtask",
+    "target",
+    "reached",
+    "success once",
+    "95 % interval",
+    "at end",
+    "time to success",
+    "peak force",
+    "on fingers",
+)
+
+
 def _tell(spec: EvalSpec, run: Run, interrupted: bool, json: bool) -> None:
     summary = run.summary
     if run.film_problem:
-        print(
-            f"mjhab: films stopped, the evaluation went on: {run.film_problem}",
-            file=sys.stderr,
-        )
+        say(f"mjhab: films stopped, the evaluation went on: {run.film_problem}")
     if interrupted:
         kept = f"{summary['episodes']} of {spec.episodes} episodes are kept in {run.path}"
         stopped(kept, f"{WITH_RESUME} (and without --overwrite)")
     if summary["errors"]:
         reasons = Counter(record.error for record in run.records if record.error)
         reason, count = reasons.most_common(1)[0]
-        print(
-            f"mjhab: the policy could not finish {summary['errors']} episodes; {count} of them: {reason}",
-            file=sys.stderr,
+        say(
+            f"mjhab: the policy could not finish {summary['errors']} episodes; {count} of them: {reason}"
         )
     tell_skipped(summary["skipped_homes"])
     clipped: Mapping[str, int] = summary.get("out_of_range", {})
     if clipped:
         columns = ", ".join(f"{name} {number}" for name, number in clipped.items())
-        print(
-            f"mjhab: values of the policy's actions out of range, which were clipped: {columns}",
-            file=sys.stderr,
+        say(
+            f"mjhab: values of the policy's actions out of range, which were clipped: {columns}"
         )
     tell_caution(run.config)
-    if json:
-        print_json(summary)
-        return
     title = "Success per target" if spec.asked.subtask else "Success along the plan"
-    _print_rows(title, rows_of(run.records))
-    print(_result_line(summary))
     latency = summary.get("latency_ms", {"p50": None})
-    if latency["p50"] is not None:
-        print(
-            f"answers of the policy: median {latency['p50']} ms, 99 % within {latency['p99']} ms"
-        )
-    if "late_steps" in summary:
-        print(f"control steps without an action of the policy: {summary['late_steps']}")
-    print(f"report: {run.report}")
+    report(
+        json,
+        summary,
+        Listing(title, _COLUMNS, map(_cells, rows_of(run.records))),
+        _result_line(summary),
+        f"answers of the policy: median {latency['p50']} ms, 99 % within {latency['p99']} ms"
+        if latency["p50"] is not None
+        else "",
+        f"control steps without an action of the policy: {summary['late_steps']}"
+        if "late_steps" in summary
+        else "",
+        f"report: {run.report}",
+    )
 
 
 def _result_line(summary: Mapping[str, Any]) -> str:
@@ -202,22 +191,6 @@ def _result_line(summary: Mapping[str, Any]) -> str:
         f"{episodes} episodes: success once {100 * summary['success_once']:.1f} %, at end "
         f"{100 * summary['success_at_end']:.1f} %, tainted {summary['tainted']}, {summary['seconds']:.0f} s"
     )
-
-
-def _print_rows(title: str, rows: Sequence[SubtaskRow]) -> None:
-    columns = (
-        "#",
-        "subtask",
-        "target",
-        "reached",
-        "success once",
-        "95 % interval",
-        "at end",
-        "time to success",
-        "peak force",
-        "on fingers",
-    )
-    print_table(title, columns, [_cells(row) for row in rows])
 
 
 def _cells(row: SubtaskRow) -> tuple[object, ...]:

@@ -13,7 +13,7 @@ from mjhab.cli.policies.evaluate import ProgressSink
 from mjhab.core.errors import fault
 from mjhab.core.files.cache import write_atomic
 from mjhab.core.files.interrupts import sigterm_interrupts
-from mjhab.core.progress import progress_bar
+from mjhab.core.progress import progress_bar, say
 from mjhab.evaluation.evaluate import EvaluationInterrupted
 from mjhab.evaluation.score.check import CHECKED_EPISODES, check
 from mjhab.evaluation.score.leaderboard import leaderboard
@@ -123,10 +123,9 @@ def _tell_incomplete(summary: Mapping[str, Any]) -> None:
         return
     empty = [row["name"] for row in summary["rows"] if not row["done"]]
     without = f"; none of {', '.join(empty)}" if empty else ""
-    print(
+    say(
         f"mjhab: incomplete: {summary['episodes']} episodes{without}; "
-        f"{summary['other_starts']} begin elsewhere than in the manifest",
-        file=sys.stderr,
+        f"{summary['other_starts']} begin elsewhere than in the manifest"
     )
 
 
@@ -137,7 +136,7 @@ def run_check(spec: CheckSpec, json: bool) -> int:
     with progress_bar("replaying", total) as advance:
         found = check(result, advance, spec.seed, spec.asked.assets)
     for name, what in list(found.wrong.items())[:_MOST_SHOWN]:
-        print(f"{name}: {what}", file=sys.stderr)
+        say(f"{name}: {what}")
     exact = found.episodes - len(found.wrong) - len(found.inexact)
     print(
         f"{found.episodes} episodes replayed: {exact} exact, {len(found.inexact)} with the same outcome but other "

@@ -5,11 +5,11 @@ from __future__ import annotations
 import os
 import secrets
 import signal
-import sys
 import threading
 from typing import TYPE_CHECKING
 
 from mjhab.cli.output import print_json
+from mjhab.core.progress import say
 from mjhab.evaluation.resolve import PolicyOptions, full_spec
 from mjhab.evaluation.served.spec import ServeSpec
 from mjhab.serving import require_serving
@@ -69,4 +69,4 @@ def _run(server: PolicyServer) -> None:
 
 
 def _tell(text: str) -> None:
-    print(f"mjhab: {text}", file=sys.stderr, flush=True)
+    say(f"mjhab: {text}")

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from mjhab.cli.exits import INTERRUPTED, stopped
-from mjhab.cli.output import print_json
+from mjhab.cli.output import report
 from mjhab.core.files.interrupts import sigterm_interrupts
+from mjhab.core.progress import say
 from mjhab.learning.reinforcement.specs import ReinforcementSpec
 from mjhab.learning.runs.run import TRAINING, TrainingResult
 from mjhab.learning.runs.specs import SECONDS_PER_MINUTE, ImitationSpec, TrainSpec
@@ -41,22 +41,20 @@ def _tell(spec: TrainSpec, result: TrainingResult, json: bool) -> None:
     if result.interrupted:
         _tell_stopped(spec.out, summary)
     elif not summary["trained"] or "shortage" in summary:
-        print(f"mjhab: {summary.get('shortage', UNTRAINED)}", file=sys.stderr)
-    if json:
-        print_json(summary)
-        return
+        say(f"mjhab: {summary.get('shortage', UNTRAINED)}")
     success = summary["success_once"]
+    judged = ""
     if success is not None:
         low, high = summary["interval"]
         interval = f"95 % interval {100 * low:.0f} to {100 * high:.0f} %"
         minutes = summary["seconds"] / SECONDS_PER_MINUTE
-        print(
+        judged = (
             f"success once {100 * success:.1f} % of {summary['episodes']} episodes in homes of split "
             f"{summary['split']} ({interval}), at end {100 * summary['success_at_end']:.1f} %, "
             f"{minutes:.1f} minutes"
         )
-    print(f"student: {summary['checkpoint'] or 'no checkpoint yet'}")
-    print(f"report: {result.report}")
+    student = f"student: {summary['checkpoint'] or 'no checkpoint yet'}"
+    report(json, summary, judged, student, f"report: {result.report}")
 
 
 def _tell_stopped(out: Path, summary: Mapping[str, Any]) -> None:

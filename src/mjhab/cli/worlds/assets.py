@@ -12,6 +12,7 @@ from mjhab.assets.sources import SOURCES, Source, hub_endpoint, source_named
 from mjhab.cli.output import Listing, report
 from mjhab.core.errors import UsageError
 from mjhab.core.files.cache import assets_dir
+from mjhab.core.progress import say
 from mjhab.core.typed.flags import Flag
 from mjhab.core.typed.options import take_options
 
@@ -112,9 +113,8 @@ def fetch_assets(spec: AssetsFetchSpec, json: bool) -> int:
     if spec.offline is not None:
         folder = install_bundle(source, spec.offline, assets_dir(), spec.overwrite)
     else:
-        print(
-            f"{source.name} from {hub_endpoint()}/datasets/{source.repo} ({source.revision})",
-            file=sys.stderr,
+        say(
+            f"{source.name} from {hub_endpoint()}/datasets/{source.repo} ({source.revision})"
         )
         folder = fetch(source, assets_dir(), spec.overwrite)
     record = read_record(folder) or {"files": {}}
@@ -131,10 +131,7 @@ def _agree(source: Source, accepted: bool) -> None:
     Raises:
         UsageError: the licence is not accepted.
     """
-    print(
-        f"{source.title}\nLicence: {source.licence}\nTerms: {source.terms}",
-        file=sys.stderr,
-    )
+    say(f"{source.title}\nLicence: {source.licence}\nTerms: {source.terms}")
     if accepted:
         return
     if not sys.stdin.isatty():

@@ -10,15 +10,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from rich.console import Console
-from rich.progress import (
-    BarColumn,
-    MofNCompleteColumn,
-    Progress,
-    TextColumn,
-    TimeRemainingColumn,
-)
-
 from mjhab.cli.output import Listing, report
 from mjhab.cli.streams import with_way_on
 from mjhab.config.env_spec import EnvSpec, env_options
@@ -26,6 +17,7 @@ from mjhab.core.errors import MjhabError, fault, wrong_value
 from mjhab.core.files.reading import read_json_object
 from mjhab.core.machine import cores
 from mjhab.core.names import kind_of
+from mjhab.core.progress import work_bar
 from mjhab.core.typed.bounds import Bound, Output
 from mjhab.core.typed.flags import Flag
 from mjhab.tasks.household.registry import TASKS
@@ -116,7 +108,7 @@ def make(spec: EpisodesMakeSpec, json: bool) -> int:
     assets = pack_request(asked.assets).as_json()
     recipe = Recipe(asked.task, asked.split, asked.seed, assets, spec.first, count)
     started = time.perf_counter()
-    with _bar() as bar, with_way_on(DISK_ADVICE):
+    with work_bar() as bar, with_way_on(DISK_ADVICE):
         line = bar.add_task(
             f"{asked.task} {asked.split}", total=count, note="", visible=False
         )
@@ -147,7 +139,7 @@ def check(spec: EpisodesCheckSpec, json: bool) -> int:
     total = Counter[str]()
     fallen = Counter[str]()
     worst: dict[str, float] = {}
-    with _bar() as bar, ThreadPoolExecutor(spec.asked.threads or cores()) as pool:
+    with work_bar() as bar, ThreadPoolExecutor(spec.asked.threads or cores()) as pool:
         line = bar.add_task("settling", total=len(episodes), note="")
         for _, rest in pool.map(episodes.settled, range(len(episodes))):
             total.update(kind_of(name) for name in rest.names)
@@ -233,14 +225,3 @@ def task_of(file: HabFile) -> str:
     if task in TASKS:
         return str(task)
     return next((task for task in TASKS if task in file.path.name), "tidy_house")
-
-
-def _bar() -> Progress:
-    return Progress(
-        TextColumn("[bold]{task.description}"),
-        BarColumn(bar_width=20),
-        MofNCompleteColumn(),
-        TextColumn("{task.fields[note]}"),
-        TimeRemainingColumn(elapsed_when_finished=True),
-        console=Console(stderr=True),
-    )

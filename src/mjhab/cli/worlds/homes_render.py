@@ -16,16 +16,15 @@ from mjhab.core.files.cache import write_atomic
 from mjhab.core.progress import progress_bar
 from mjhab.core.typed.bounds import Bound, Output
 from mjhab.core.typed.flags import Flag
+from mjhab.evaluation.shots.spec import still_shading
 from mjhab.scenes.free_camera import FOV_DEG, Place, free_camera
-from mjhab.scenes.shading import RASTER, Shading, shading_of
+from mjhab.scenes.shading import Shading
 
 PNG = ".png"
 HTML = ".html"
 ONE_SIZE = (1200, 900)
 SHEET_SIZE = (400, 300)
 """Default width and height of a single image, and of each image on a sheet [px]."""
-STILL_SAMPLES = 16
-"""Paths per pixel of shader path where nothing is said."""
 
 
 Side = Annotated[
@@ -69,7 +68,7 @@ class HomesRenderSpec(EnvSpec):
             *("assets", "split", "shader", "shading"), shown={"split": "default: all"}
         ),
     ] = field(default_factory=dict)
-    """The asset pack, with ``all`` which of its homes, and how they are drawn; shader path takes `STILL_SAMPLES`."""
+    """The asset pack, with ``all`` which of its homes, and how they are drawn; shader path takes `shots.spec.STILL_SAMPLES`."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -106,10 +105,7 @@ class HomesRenderSpec(EnvSpec):
     @property
     def shading(self) -> Shading | None:
         """The options of the path tracer, None for the rasterizer."""
-        asked = self.asked
-        if asked.shader == RASTER:
-            return asked.path_shading
-        return shading_of(asked.shader, {"samples": STILL_SAMPLES, **asked.shading})
+        return still_shading(self.asked)
 
     @property
     def size(self) -> tuple[int, int]:

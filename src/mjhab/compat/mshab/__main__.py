@@ -13,6 +13,7 @@ from mjhab.compat.mshab.running.script import (
     run_script,
 )
 from mjhab.core.errors import UsageError
+from mjhab.core.progress import say
 
 USAGE = """usage: python -m mjhab.compat.mshab [--set NAME=VALUE ...] SCRIPT.py ARGS...
        python -m mjhab.compat.mshab [--set NAME=VALUE ...] -m MODULE ARGS...
@@ -64,6 +65,6 @@ if __name__ == "__main__":
     try:
         status = main(sys.argv[1:])
     except UsageError as error:
-        print(f"error: {error}", file=sys.stderr)
+        say(f"error: {error}")
         status = 2
     sys.exit(status)

@@ -90,39 +90,13 @@ def describe_run(
         # The start states come from a pool that depends on the environment's seed.
         config["env"]["seed"] = options["seed"]
         config["maker"] = TRAIN_MAKER
-    layout = env.layout
-    # All homes of a run have the same sizes, so that any world tells them.
-    first = env.sim.get_world(0)
     return RunInfo(
         config=config,
         options={k: v for k, v in options.items() if k in _VIEW},
         versions=versions(),
         commit=source_commit(),
         machine=f"{platform.machine()} {platform.system()}",
-        layout={
-            "objects": list(layout.object_names),
-            "links": list(layout.link_ids),
-            "sizes": {
-                "qpos": len(first["qpos"]),
-                "qvel": len(first["qvel"]),
-                "ctrl": len(first["ctrl"]),
-            },
-            "columns": _columns(env.sim.addresses),
-            "robot": layout.robot.name,
-            "joints": [
-                # Observed positions of joints leave out the base.
-                joint.removesuffix("_joint")
-                for joint in layout.robot.joints[BASE.stop :]
-            ],
-            "actions": [entry.name for entry in env.action_table],
-            ACTION_TABLE: [dict(vars(entry)) for entry in env.action_table],
-            "taints": list(env.taint_names),
-            SCAN_YAWS: {
-                kind.name: kind.scan_yaw for kind in layout.objects if kind.scan_yaw
-            },
-            **describe_views(env.observer),
-            **({"stage": layout.stage} if layout.stage else {}),
-        },
+        layout=_layout_of(env),
         assets=_text(env.config.assets),
         licence=licence
         or (
@@ -131,6 +105,35 @@ def describe_run(
             else "unknown: see the asset pack"
         ),
     )
+
+
+def _layout_of(env: RecordedEnv) -> dict[str, Any]:
+    """What the columns of the recorded states, actions and images are, as JSON data."""
+    layout = env.layout
+    # All homes of a run have the same sizes, so that any world tells them.
+    first = env.sim.get_world(0)
+    return {
+        "objects": list(layout.object_names),
+        "links": list(layout.link_ids),
+        "sizes": {
+            "qpos": len(first["qpos"]),
+            "qvel": len(first["qvel"]),
+            "ctrl": len(first["ctrl"]),
+        },
+        "columns": _columns(env.sim.addresses),
+        "robot": layout.robot.name,
+        "joints": [
+            # Observed positions of joints leave out the base.
+            joint.removesuffix("_joint")
+            for joint in layout.robot.joints[BASE.stop :]
+        ],
+        "actions": [entry.name for entry in env.action_table],
+        ACTION_TABLE: [dict(vars(entry)) for entry in env.action_table],
+        "taints": list(env.taint_names),
+        SCAN_YAWS: {kind.name: kind.scan_yaw for kind in layout.objects if kind.scan_yaw},
+        **describe_views(env.observer),
+        **({"stage": layout.stage} if layout.stage else {}),
+    }
 
 
 def describe_views(views: Views) -> dict[str, Any]:

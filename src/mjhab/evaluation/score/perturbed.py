@@ -224,6 +224,29 @@ def _write(
     write_text(spec.folder / ROBUSTNESS_PAGE, robustness_page(robustness, clean))
 
 
+_DIFFERENCES = (
+    ("axis", ""),
+    ("level", "n"),
+    ("what it changes", "words"),
+    ("success once", "n"),
+    ("difference", "n"),
+    ("95 % interval", "n"),
+    ("p", "n"),
+    ("lost", "n"),
+    ("won", "n"),
+    ("episodes", "n"),
+    ("redrawn", "n"),
+    ("kept", "n"),
+)
+_CHANGES = (
+    ("arm", ""),
+    ("label in clean", ""),
+    ("label in the arm", ""),
+    ("subtasks", "n"),
+)
+"""Columns of the tables of differences and of changed labels, with their styles."""
+
+
 def robustness_page(robustness: Robustness, clean: Sequence[EpisodeRecord]) -> str:
     """The page of a score under perturbations: bars of all arms, differences, labels that change."""
     arms = robustness.arms
@@ -232,30 +255,10 @@ def robustness_page(robustness: Robustness, clean: Sequence[EpisodeRecord]) -> s
     names = [CLEAN, *(f"{arm.axis} {arm.level}" for arm in arms)]
     rates = [robustness.success_once, *(arm.success_once for arm in arms)]
     bounds = [wilson(won, len(clean)), *(arm.bounds for arm in arms)]
-    columns = [
-        ("axis", ""),
-        ("level", "n"),
-        ("what it changes", "words"),
-        ("success once", "n"),
-        ("difference", "n"),
-        ("95 % interval", "n"),
-        ("p", "n"),
-        ("lost", "n"),
-        ("won", "n"),
-        ("episodes", "n"),
-        ("redrawn", "n"),
-        ("kept", "n"),
-    ]
     changes = [
         (f"{arm.axis} {arm.level}", before, after, count)
         for arm in arms
         for before, after, count in arm.found.labels
-    ]
-    heads = [
-        ("arm", ""),
-        ("label in clean", ""),
-        ("label in the arm", ""),
-        ("subtasks", "n"),
     ]
     return render_sections(
         f"{facts['policy']}, {facts['track']}, under perturbations",
@@ -270,13 +273,13 @@ def robustness_page(robustness: Robustness, clean: Sequence[EpisodeRecord]) -> s
                 "Perturbed minus clean, paired by row, seed and index: intervals by Newcombe, p by McNemar, exact. "
                 "Redrawn: changes of starts that were impossible; kept: episodes in which none was possible."
                 + _unreached(arms),
-                columns=columns,
+                columns=_DIFFERENCES,
                 rows=[_cells(arm) for arm in arms],
             ),
             Section(
                 "Labels that change",
                 "Subtasks of the same episodes that ended with another label.",
-                columns=heads,
+                columns=_CHANGES,
                 rows=changes,
             ),
         ],

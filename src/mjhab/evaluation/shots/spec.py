@@ -8,6 +8,7 @@ from os import PathLike
 from pathlib import Path
 from typing import Annotated, Any, ClassVar
 
+from mjhab.config.env import EnvConfig
 from mjhab.config.env_spec import EnvSpec, env_options
 from mjhab.core.errors import missing_field, unknown_name, wrong_value
 from mjhab.core.typed.bounds import Bound, Output
@@ -119,10 +120,14 @@ class ShotSpec(EnvSpec):
     @property
     def shading(self) -> Shading | None:
         """The options of the path tracer, None for the rasterizer."""
-        asked = self.asked
-        if asked.shader == RASTER:
-            return asked.path_shading
-        return shading_of(asked.shader, {"samples": STILL_SAMPLES, **asked.shading})
+        return still_shading(self.asked)
+
+
+def still_shading(asked: EnvConfig) -> Shading | None:
+    """The options of the path tracer for a picture, None for the rasterizer."""
+    if asked.shader == RASTER:
+        return asked.path_shading
+    return shading_of(asked.shader, {"samples": STILL_SAMPLES, **asked.shading})
 
 
 def check_step(step: int, steps: int, episode: str) -> int:

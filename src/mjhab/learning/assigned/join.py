@@ -94,15 +94,10 @@ def join(spec: PolicyJoinSpec) -> JoinedPolicy:
         for route in _routes(entry, files.index(entry.checkpoint), saved, spec)
     ]
     _check_apart(routes)
-    weights, bias = fit_gate(
-        [route.sentences for route in routes], encode_sentence, spec.seed
-    )
     student = joined(members, routes)
     trunk = student.trunk
     assert isinstance(trunk, RoutedTrunk)
-    with torch.no_grad():
-        trunk.gate.weight.copy_(weights)
-        trunk.gate.bias.copy_(bias)
+    _fit_gate_of(trunk, routes, spec.seed)
     first, *more = [
         dataclasses.replace(route.scene, target=route.target).record() for route in routes
     ]
@@ -127,6 +122,15 @@ def join(spec: PolicyJoinSpec) -> JoinedPolicy:
         },
         _unread(trunk, routes),
     )
+
+
+def _fit_gate_of(trunk: RoutedTrunk, routes: Sequence[KnownRequest], seed: int) -> None:
+    """Teach the gate which sentences ask for which route."""
+    sentences = [route.sentences for route in routes]
+    weights, bias = fit_gate(sentences, encode_sentence, seed)
+    with torch.no_grad():
+        trunk.gate.weight.copy_(weights)
+        trunk.gate.bias.copy_(bias)
 
 
 def _member(

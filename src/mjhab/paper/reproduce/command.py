@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -10,6 +9,7 @@ from mjhab.cli.exits import INTERRUPTED, stopped
 from mjhab.cli.output import Listing, report
 from mjhab.cli.policies.evaluate import ProgressSink
 from mjhab.core.files.interrupts import sigterm_interrupts
+from mjhab.core.progress import say
 from mjhab.paper.reproduce.make import reproduce
 from mjhab.paper.reproduce.means import means
 from mjhab.paper.reproduce.results import REPORT, TITLES, all_cells, titles
@@ -23,7 +23,7 @@ def run_reproduce(spec: TableSpec, json: bool) -> int:
         results, interrupted = reproduce(
             spec,
             lambda judging: [ProgressSink(judging)],
-            lambda row: print(f"mjhab: {row.name}", file=sys.stderr),
+            lambda row: say(f"mjhab: {row.name}"),
         )
     tell(spec, results, interrupted, json)
     return INTERRUPTED if interrupted else 0

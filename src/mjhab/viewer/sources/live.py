@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import queue
-import sys
 import threading
 import traceback
 from collections.abc import Callable, Mapping, Sequence
@@ -16,6 +15,7 @@ import numpy as np
 
 from mjhab.core.action_notes import HUMAN
 from mjhab.core.errors import MjhabError
+from mjhab.core.progress import say
 from mjhab.data.store.shard import ShardWriter
 from mjhab.envs.sequential import SequentialTaskEnv
 from mjhab.evaluation.evaluate import EvalSpec
@@ -401,7 +401,7 @@ class LiveSession:
     def tell_problem(self, problem: str) -> None:
         """Show a failure in the page, and print it to stderr."""
         self.problem = problem
-        print(f"mjhab: {problem}", file=sys.stderr)
+        say(f"mjhab: {problem}")
 
     def _record(self) -> list[Sink]:
         self._open_shard()

@@ -68,7 +68,7 @@ class HomesRenderSpec(EnvSpec):
             *("assets", "split", "shader", "shading"), shown={"split": "default: all"}
         ),
     ] = field(default_factory=dict)
-    """The asset pack, with ``all`` which of its homes, and how they are drawn; shader path takes `shots.spec.STILL_SAMPLES`."""
+    """The asset pack, with ``all`` which of its homes, and how they are drawn; see `still_shading`."""
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -67,7 +67,7 @@ def mlp(widths: Sequence[int], norm: bool, last: bool = True) -> nn.Sequential:
     return nn.Sequential(*layers)
 
 
-class _Camera(nn.Module):
+class _ConvolvedCamera(nn.Module):
     """Encodes an image (B, C, H, W) to (B, features): convolutions with ReLU, and a linear layer with ``last`` behind.
 
     Args:
@@ -103,7 +103,7 @@ class _Camera(nn.Module):
         return self.head(self.convolutions(image))
 
 
-class CameraEncoder(_Camera):
+class CameraEncoder(_ConvolvedCamera):
     """Image encoder of the small presets: k6 s4, then k3 s2, a linear layer, layer norm and tanh.
 
     On a CPU this takes half the time of stride 2 throughout.
@@ -120,7 +120,7 @@ class CameraEncoder(_Camera):
         super().__init__(frames, size, layers, features, last, padding=1)
 
 
-class PaperCamera(_Camera):
+class PaperCamera(_ConvolvedCamera):
     """Image encoder of MS-HAB's BC: k5 s2 three times, k3 s1 twice, a linear layer (mshab/agents/bc/agent.py)."""
 
     def __init__(
@@ -133,7 +133,7 @@ class PaperCamera(_Camera):
         super().__init__(frames, size, layers, features, (nn.ReLU(),))
 
 
-class NatureCamera(_Camera):
+class NatureCamera(_ConvolvedCamera):
     """Image encoder of MS-HAB's PPO: k8 s4, k4 s2, k3 s1, a linear layer (mshab/agents/ppo)."""
 
     def __init__(
@@ -143,7 +143,7 @@ class NatureCamera(_Camera):
         super().__init__(frames, size, layers, features, (nn.ReLU(),))
 
 
-class StridedCamera(_Camera):
+class StridedCamera(_ConvolvedCamera):
     """Image encoder of MS-HAB's SAC: k3 s2 throughout, a linear layer, layer norm, tanh (mshab/agents/sac)."""
 
     def __init__(

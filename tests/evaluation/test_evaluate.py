@@ -142,6 +142,8 @@ def test_what_the_policy_needs_and_what_the_user_asks_for(
         ({"frame_stack": 10**9}, dict(option="frame_stack", given=10**9)),
         ({"style": ("speed=0.5",)}, dict(option="style", given=("speed=0.5",))),
         ({"instruction": "shut it"}, dict(option="instruction", given="shut it")),
+        ({"instruction": "", "subtask": "close"}, dict(option="instruction", given="")),
+        ({"instruction": " . ", "subtask": "close"}, dict(option="instruction")),
         (
             {"instruction": "shut it", "subtask": "close"},
             dict(where="policy zero", said="takes no instruction"),

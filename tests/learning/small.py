@@ -139,4 +139,5 @@ def fake_env(worlds: int = 3, told: ObservationSpec | None = None) -> Any:
             "state": SimpleNamespace(shape=(sum(width for _, width in STATE),))
         },
         config=SimpleNamespace(control_mode=CONTROL[0], base=CONTROL[1], stationary=()),
+        layout=SimpleNamespace(roster=("024_bowl",), link_ids=("fridge/top_door",)),
     )

@@ -324,6 +324,10 @@ def test_a_checkpoint_may_be_told_another_sentence(tmp_path: Path) -> None:
     asked = act(["open it", "push it"], "shut it")
     np.testing.assert_array_equal(asked, act(["shut it", "shut it"]))
     assert (asked != act(["open it", "push it"])).any()
+    for other in ("oeffne die schublade", "the of it"):
+        with refused(option="instruction", given=other):
+            act(["open it"] * 2, other)
+    assert act(["open it"] * 2, "the fridge").shape == asked.shape
     with refused(where="deaf.safetensors", said="takes no instruction"):
         resolve_policy(files["deaf"], env, PolicyOptions(instruction="shut it"))
 

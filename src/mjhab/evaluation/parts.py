@@ -62,7 +62,7 @@ def describe_policy(policy: PolicyLike) -> PolicyFacts:
 
 def policy_options(spec: EvalSpec) -> PolicyOptions:
     """What an evaluation tells its policy."""
-    return PolicyOptions(spec.asked.seed, spec.style, spec.instruction)
+    return PolicyOptions(spec.asked.seed, spec.style, spec.instruction or "")
 
 
 def env_options(spec: EvalSpec, facts: PolicyFacts) -> dict[str, Any]:

@@ -12,6 +12,7 @@ from mjhab.config.env import EnvConfig
 from mjhab.config.env_spec import EnvSpec
 from mjhab.core.errors import missing_field, unknown_name, wrong_value
 from mjhab.core.typed.bounds import Bound, Output
+from mjhab.core.typed.checks import check
 from mjhab.core.typed.flags import Flag, OptionsOf
 from mjhab.core.typed.options import fitting, taken
 from mjhab.evaluation.resolve import check_style, full_spec
@@ -20,6 +21,7 @@ from mjhab.robots.robot import Robot
 from mjhab.rollout.policy import Policy
 from mjhab.scenes.shading import PATH, RASTER
 from mjhab.serving.address import SCHEMES, Address, with_options
+from mjhab.tasks.instructions import telling_words
 
 if TYPE_CHECKING:
     from mjhab.data.select.query import Filter
@@ -77,8 +79,8 @@ class EvalSpec(EnvSpec):
     from a range or a list (a,b). Names: speed, grasp, release, drop_height, close, pull, open_further, waits,
     plan, look, noise, base_noise, noise_kind, hold, dither, mishap (see docs/data/record.md)."""
     instruction: Annotated[
-        str, Flag(metavar="SENTENCE", shown="default: the episodes'")
-    ] = ""
+        str | None, Flag(metavar="SENTENCE", shown="default: the episodes'")
+    ] = None
     """With a subtask: tell the policy this sentence in place of the episodes' own, e.g. "shut the drawer". For a
     student that was trained with sentences (see docs/training.md) and for a served policy."""
     episodes: Annotated[int, Bound(1, MAX_EPISODES)] = 20
@@ -130,8 +132,15 @@ class EvalSpec(EnvSpec):
                 asked.target,
                 "left out without a subtask: a whole task has its targets in its plan",
             )
-        if self.instruction and not asked.subtask:
-            raise wrong_value(
+        if self.instruction is not None:
+            check(
+                bool(telling_words(self.instruction)),
+                "instruction",
+                self.instruction,
+                "a sentence, or left out for those of the episodes",
+            )
+            check(
+                bool(asked.subtask),
                 "instruction",
                 self.instruction,
                 "left out without a subtask: in a whole task every subtask has a sentence of its own",

@@ -12,7 +12,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
-from mjhab.core.errors import UsageError
+from mjhab.core.errors import UsageError, wrong_value
 from mjhab.core.files.reading import is_file
 from mjhab.evaluation.resolve import (
     OpenedPolicy,
@@ -22,6 +22,7 @@ from mjhab.evaluation.resolve import (
 )
 from mjhab.learning.require import require_learn
 from mjhab.rollout.policy import Policy, RolloutEnv
+from mjhab.tasks.instructions import telling_words, vocabulary
 
 if TYPE_CHECKING:
     from mjhab.envs.parts.worlds import PolicyWorlds
@@ -162,6 +163,8 @@ class CheckpointFiles(OpenedPolicy):
             student.config.inputs.sentence for student in students
         ):
             raise no_instruction(self.spec)
+        if options.instruction:
+            _check_language(options.instruction, acting)
         several = len(students) > 1
         policies = [
             StudentPolicy(
@@ -174,3 +177,19 @@ class CheckpointFiles(OpenedPolicy):
             for student in students
         ]
         return StudentEnsemble(policies) if several else policies[0]
+
+
+def _check_language(sentence: str, worlds: PolicyWorlds) -> None:
+    """Refuse a sentence none of whose words a policy can have learned here.
+
+    Raises:
+        UsageError: it is in another language, say.
+    """
+    known = vocabulary([*worlds.layout.roster, *worlds.layout.link_ids])
+    if not telling_words(sentence) & known:
+        raise wrong_value(
+            "instruction",
+            sentence,
+            "a sentence with words that episodes are told by, such as 'open the fridge'",
+            f"Known are, among others, {', '.join(sorted(known)[:12])}.",
+        )

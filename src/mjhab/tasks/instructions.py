@@ -10,7 +10,7 @@ full stop, like the prompts on which vision-language-action models are trained.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cache
 
@@ -56,6 +56,25 @@ Draw = Callable[[int], int]
 _DETERMINERS = frozenset(
     ["a", "an", "the", "my", "your", "his", "her", "its", "our", "their", "this", "that"]
 )
+_JOINING = frozenset(
+    [
+        "at",
+        "for",
+        "from",
+        "in",
+        "into",
+        "it",
+        "of",
+        "off",
+        "on",
+        "onto",
+        "out",
+        "to",
+        "up",
+        "with",
+    ]
+)
+"""Words that tell nothing alone, and that other languages have, too."""
 _MOST_DIGITS = 3
 """An id with more digits between its letters is a code, no words."""
 
@@ -310,3 +329,19 @@ def plain_words(name: str, code: str = "thing") -> str:
     words = re.sub(r"( \d+)+$", "", words.strip())
     digits = sum(letter.isdigit() for letter in words)
     return code if not words or words.isdigit() or digits > _MOST_DIGITS else words
+
+
+def telling_words(sentence: str) -> frozenset[str]:
+    """The words of a sentence that say something alone, in lower case: no article, no preposition, no number."""
+    words = frozenset(re.findall(r"[^\W\d_]+", sentence.lower()))
+    return words - _DETERMINERS - _JOINING
+
+
+def vocabulary(things: Iterable[str]) -> frozenset[str]:
+    """`telling_words` of the wordings of all subtasks and of the names of ``things``, object types or ids of links."""
+    wordings = [words for spec in SUBTASKS.values() for words in spec.words]
+    names = [name for thing in things for name in names_of(thing)]
+    sentences = [*wordings, *CARRY_WORDINGS, *names]
+    return frozenset().union(
+        *(telling_words(re.sub(r"{\w+}", "", each)) for each in sentences)
+    )

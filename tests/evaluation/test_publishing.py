@@ -205,7 +205,9 @@ def test_a_list_that_is_none(tmp_path: Path, files: object, said: str) -> None:
         check_set(tmp_path)
 
 
-def test_what_cannot_be_made_is_refused(tmp_path: Path) -> None:
+def test_what_cannot_be_made_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     with refused("track", given="libero", expected="ms_hab_7"):
         DatasetSpec.of("libero", out=tmp_path / "a")
     with refused("row", given="set_table.pick.spoon", expected=ROWS[0]):
@@ -217,8 +219,10 @@ def test_what_cannot_be_made_is_refused(tmp_path: Path) -> None:
     with refused(said="neither dataset.json"):
         check_set(tmp_path)
     (tmp_path / "of_others").write_text("mine")
-    with refused("out", advice="another --out"):
-        run_making(spec_of(tmp_path))
+    with refused("out", advice="another --out") as told:
+        command("dataset", "make", "ms_hab_7", "--out", tmp_path)
+    # The command has no --resume, and shows no bars of what does not begin.
+    assert "--resume" not in str(told.value) and not capsys.readouterr().err
     assert (tmp_path / "of_others").read_text() == "mine"
     out = tmp_path / "b"
     with refused("rest"):

@@ -62,9 +62,9 @@ class Address:
     )
     """With --real-time: every answer is there so long after its observation [ms]. Without it that is as long as its
     request takes."""
-    hz: Annotated[float, Flag(metavar="HZ", shown="default: that of the control, 20")] = (
-        0.0
-    )
+    hz: Annotated[
+        float | None, Flag(metavar="HZ", shown="default: that of the control, 20")
+    ] = None
     """With --real-time: control steps per second of the robot, by which a latency becomes a number of steps."""
     meanwhile: Annotated[str, Flag(metavar="chunk|last|still")] = CHUNK
     """With --real-time: what acts while the policy thinks: the rest of the chunk before, and its answer goes on from
@@ -85,7 +85,9 @@ class Address:
             raise unknown_name("meanwhile", self.meanwhile, MEANWHILE)
         if self.latency_ms is not None:
             check_between("latency_ms", self.latency_ms, 0, MAX_LATENCY_MS)
-        check_between("hz", self.hz, 0, MAX_HZ)
+        if self.hz is not None:
+            good = 0.0 < self.hz <= MAX_HZ
+            check(good, "hz", self.hz, f"above 0, and at most {MAX_HZ:g}")
         if not self.real_time:
             # Silently without effect, they would let a run be taken for one in real time.
             for name in ("latency_ms", "hz", "meanwhile"):

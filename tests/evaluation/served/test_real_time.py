@@ -209,6 +209,8 @@ def test_a_student_that_answers_at_once_acts_as_at_home() -> None:
         ("real_time=yes&latency_ms=-1", "latency_ms"),
         ("real_time=yes&latency_ms=nan", "latency_ms"),
         ("real_time=yes&hz=1e9", "hz"),
+        ("real_time=yes&hz=0", "hz"),
+        ("real_time=yes&hz=-20", "hz"),
     ],
 )
 def test_wrong_options_of_time_are_refused(options: str, option: str) -> None:

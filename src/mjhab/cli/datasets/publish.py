@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from typing import Any
+
+from rich.progress import TaskID
 
 from mjhab.cli.exits import stopped
 from mjhab.cli.output import Listing, report
@@ -61,12 +63,16 @@ def run_check(spec: DatasetCheckSpec, json: bool) -> int:
 
 @contextmanager
 def _progress(spec: DatasetSpec) -> Iterator[Callable[[ScoreRow, Standing], None]]:
-    with work_bar(note="") as bar:
-        tasks = {
-            name: bar.add_task(name, total=spec.per_target) for name in spec.chosen()
-        }
+    tasks: dict[str, TaskID] = {}
+    with ExitStack() as shown:
+        bar = work_bar(note="")
 
         def tell(row: ScoreRow, now: Standing) -> None:
+            if not tasks:
+                # What is refused before anything is recorded shows no bars.
+                shown.enter_context(bar)
+                for name in spec.chosen():
+                    tasks[name] = bar.add_task(name, total=spec.per_target)
             bar.update(tasks[row.name], completed=now.kept, total=max(now.wanted, 1))
 
         yield tell

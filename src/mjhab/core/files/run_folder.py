@@ -36,6 +36,8 @@ class RunFolder:
     """Files that a run with ``overwrite`` deletes; none for runs that cannot be overwritten."""
     FREE_KEYS: ClassVar[frozenset[str]] = frozenset()
     """Keys of the configuration that a resumed run may change."""
+    RESUMES: ClassVar[bool] = True
+    """Whether its command has --resume; without it, the same command goes on by itself."""
     WORK: ClassVar[tuple[str, ...]] = ()
     """Patterns of files that cost time to make, at any depth; one without content does not count."""
 
@@ -172,12 +174,13 @@ class RunFolder:
     ) -> None:
         found = cls._content(path) if path.exists() else []
         again = "--overwrite to start it again, " if cls.OWN else ""
+        resuming = f"Give --resume to continue that run, {again}or another --out."
         if found and not (resume or overwrite):
             raise wrong_value(
                 "out",
                 str(path),
                 f"empty, but holds {_some(found)}",
-                f"Give --resume to continue that run, {again}or another --out.",
+                resuming if cls.RESUMES else "Give another --out.",
             )
         if found and resume:
             cls._check_same(path, json.loads(json.dumps(config)))

@@ -45,6 +45,7 @@ class SetFolder(RunFolder):
     """The folder of a data set that is made."""
 
     CONFIG_FILE = "making.json"
+    RESUMES = False
     FREE_KEYS = frozenset({"per_target", "rows", "episodes", "held_out"})
     WORK = ("*.h5",)
 

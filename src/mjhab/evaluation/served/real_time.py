@@ -36,9 +36,8 @@ class Pace:
         """That of an address; None where the world waits."""
         if not address.real_time:
             return None
-        return cls(
-            address.meanwhile, address.hz or 1.0 / STEP_SECONDS, address.latency_ms
-        )
+        hz = 1.0 / STEP_SECONDS if address.hz is None else address.hz
+        return cls(address.meanwhile, hz, address.latency_ms)
 
     def in_force_ms(self, measured_ms: float) -> float:
         """How late an answer is [ms] whose request took ``measured_ms``."""

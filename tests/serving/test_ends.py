@@ -50,7 +50,8 @@ def test_an_answer_is_what_was_sent(dialect: str) -> None:
     policy = Constant(chunk)
     with serving(policy, dialect) as server:
         connection = Connection(address(server.port, dialect))
-        assert connection.greet()["mjhab"] == {"policy": "constant", "dialect": dialect}
+        told = {"policy": "constant", "dialect": dialect, "control_hz": 20}
+        assert connection.greet()["mjhab"] == told
         for begins in (True, False):
             (got,) = connection.ask([an_ask()], begins)
             np.testing.assert_array_equal(got, chunk)

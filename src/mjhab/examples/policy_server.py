@@ -35,7 +35,8 @@ def actions(request):
 
 
 def answer(connection):
-    connection.send(msgpack.packb({"policy": "bright", "action_space": "joint"}))
+    greeting = {"policy": "bright", "action_space": "joint", "control_hz": 20}
+    connection.send(msgpack.packb(greeting))
     for message in connection:
         request = msgpack.unpackb(message, object_hook=restored)
         reply = {"actions": actions(request)}

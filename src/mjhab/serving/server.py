@@ -19,7 +19,8 @@ from websockets.http11 import Request, Response
 from websockets.sync.server import Server, ServerConnection, serve
 
 from mjhab.core.errors import MjhabError, UsageError
-from mjhab.serving.dialects.dialect import RESET_DONE, Dialect, Incoming
+from mjhab.core.timing import STEP_SECONDS
+from mjhab.serving.dialects.dialect import CONTROL_HZ, RESET_DONE, Dialect, Incoming
 from mjhab.serving.packing import ProtocolError, pack, unpack
 
 LOCAL_HOSTS = ("127.0.0.1", "localhost", "::1")
@@ -151,7 +152,11 @@ class PolicyServer:
         with self._counting:
             self._connections.add(connection)
         try:
-            own = {**self._responder.metadata(), "dialect": self._dialect.name}
+            own = {
+                **self._responder.metadata(),
+                "dialect": self._dialect.name,
+                CONTROL_HZ: round(1.0 / STEP_SECONDS),
+            }
             connection.send(pack(self._dialect.greeting(own)))
             for message in connection:
                 self._count()

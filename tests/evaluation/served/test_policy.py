@@ -28,6 +28,8 @@ from mjhab.learning.observation.spec import observation_spec_of
 from mjhab.learning.students.heads import make_student
 from mjhab.rollout.loop import rollout
 from mjhab.rollout.policy import Selective, ZeroPolicy
+from mjhab.serving.dialects.names import DIALECTS
+from mjhab.serving.dialects.openpi import OpenPi
 from mjhab.serving.server import ServerOptions
 from tests.learning.small import config
 from tests.refusals import refused
@@ -279,6 +281,22 @@ def test_the_action_space_of_a_server_is_taken_and_a_wrong_control_mode_refused(
         with refused("style", ("speed=0.5",), advice="Give it to its server"):
             options = PolicyOptions(style=("speed=0.5",))
             resolve_policy(spec(server.port), world(num_envs=1), options)
+
+
+@pytest.mark.parametrize("told", [10, "20", True, float("nan")])
+def test_a_server_for_another_rate_of_control_is_refused(
+    told: object, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Slow(OpenPi):
+        def greeting(self, own: Mapping[str, Any]) -> Any:
+            return {**super().greeting(own), "control_hz": told}
+
+    monkeypatch.setitem(DIALECTS, "openpi", Slow())
+    with serving(Constant()) as server:
+        with refused("control_hz", expected="20", where="ws://"):
+            inspect_policy(spec(server.port))
+        with refused("control_hz", expected="20", where="ws://"):
+            resolve_policy(spec(server.port), world(num_envs=1))
 
 
 def test_a_server_that_is_killed_and_started_again_loses_no_episode() -> None:

@@ -10,7 +10,12 @@ from typing import Any, cast
 
 from mjhab.core.errors import wrong_value
 from mjhab.evaluation.resolve import OpenedPolicy, PolicyFacts, PolicyOptions
-from mjhab.evaluation.served.metadata import env_options_of, own_part, space_of
+from mjhab.evaluation.served.metadata import (
+    check_rate,
+    env_options_of,
+    own_part,
+    space_of,
+)
 from mjhab.evaluation.served.real_time import Pace
 from mjhab.rollout.loop import plain
 from mjhab.rollout.policy import Policy, RolloutEnv
@@ -26,7 +31,8 @@ class ServerAddress(OpenedPolicy):
         """Connect to the server and describe its policy from the metadata it sends.
 
         Raises:
-            UsageError: there is no server, it requires a token, or it uses another protocol.
+            UsageError: there is no server, it requires a token, it uses another protocol, or its actions are for
+                another rate of control.
         """
         require_serving()
         from mjhab.serving.client import Connection
@@ -38,6 +44,7 @@ class ServerAddress(OpenedPolicy):
         finally:
             # The description is asked for before the environment exists, and a run has connections of its own.
             connection.close()
+        check_rate(address, metadata)
         own = own_part(metadata)
         pace = Pace.of(address)
         metadata_json = _as_json(metadata)

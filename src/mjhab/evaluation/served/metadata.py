@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from mjhab.core.errors import wrong_value
+from mjhab.core.timing import STEP_SECONDS
 from mjhab.core.typed.options import with_tuples
 from mjhab.evaluation.served.action_spaces import (
     ACTION_SPACES,
@@ -12,7 +14,7 @@ from mjhab.evaluation.served.action_spaces import (
     space_named,
 )
 from mjhab.serving.address import Address
-from mjhab.serving.dialects.dialect import OWN
+from mjhab.serving.dialects.dialect import CONTROL_HZ, OWN
 
 IMAGE_SIZE_PX = 224
 """Image side for servers that do not specify it: the usual input of vision-language-action models."""
@@ -22,6 +24,24 @@ def own_part(metadata: Mapping[str, Any]) -> Mapping[str, Any]:
     """The part of the metadata that only mjhab servers send; empty for other servers."""
     own = metadata.get(OWN, {})
     return own if isinstance(own, Mapping) else {}
+
+
+def check_rate(address: Address, metadata: Mapping[str, Any]) -> None:
+    """Refuse a server whose actions are for another rate of control; most do not say for which.
+
+    Raises:
+        UsageError: names both rates.
+    """
+    hz = round(1.0 / STEP_SECONDS)
+    told = metadata.get(CONTROL_HZ, own_part(metadata).get(CONTROL_HZ, hz))
+    if isinstance(told, bool) or told != hz:
+        raise wrong_value(
+            CONTROL_HZ,
+            told,
+            f"{hz}, the control steps of the robot per second",
+            "Serve actions of that rate.",
+            f"the greeting of {address.shown}",
+        )
 
 
 def space_of(address: Address, metadata: Mapping[str, Any]) -> str:

@@ -21,7 +21,7 @@ from mjhab.data.record.provenance import describe_run
 from mjhab.data.record.worlds import RecordedEnv
 from mjhab.envs.observations.modes import STATE_KEY, camera_key
 from mjhab.evaluation.served.action_spaces import ActionReader
-from mjhab.evaluation.served.metadata import own_part, space_of
+from mjhab.evaluation.served.metadata import check_rate, own_part, space_of
 from mjhab.evaluation.served.own_state import OWN_STATE, STATE_PARTS, split_state
 from mjhab.evaluation.served.real_time import Answer, Pace, Playback
 from mjhab.serving.address import CHUNK, Address
@@ -79,6 +79,7 @@ class ServedPolicy:
         # Threads: they wait for the network, and servers answer several requests at a time.
         self._pool = ThreadPoolExecutor(count)
         metadata = self._connections[0].greet()
+        check_rate(address, metadata)
         own = own_part(metadata)
         if instruction and own.get("reads_instruction") is False:
             self.close()

@@ -65,6 +65,7 @@ def measure_curves(spec: CurvesSpec) -> dict[str, Any]:
             run = spec.out / f"{preset}_{seed}"
             curve = train_curve(preset, seed, spec.samples, run)
             found[f"{preset}/{seed}"] = {"curve": curve, "samples_to": samples_to(curve)}
+            # # After every run: all of them take hours.
             write_text(spec.out / RESULT, json.dumps(found, indent=1) + "\n")
     return found
 
@@ -108,6 +109,7 @@ def _is_through(summary: Path, samples: int) -> bool:
     if not summary.is_file():
         return False
     found = json.loads(summary.read_text(encoding="utf-8"))
+    # # A run that was stopped before its final evaluation has no episodes.
     return found["samples"] >= samples and found["episodes"] > 0
 
 

@@ -86,6 +86,7 @@ def interact_results(has_gpu: bool) -> dict[str, Any]:
     ]
     return {
         "points": [
+            # # One by one: a number of worlds that does not fit must not cost the others.
             attempt(lambda plan=plan: measure_interact(plan)[0], _words(plan))
             for plan in plans
         ]
@@ -223,6 +224,7 @@ def report(out: Path, names: Sequence[str] = ()) -> None:
 
     Without names: all; the quick parity report in place of the full one, which takes an hour, where there is no GPU.
     """
+    # # First, as nothing can be measured without Warp.
     resolve("warp")
     for name in names:
         if name not in MEASURES:

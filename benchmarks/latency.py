@@ -105,6 +105,7 @@ def _request(spec: LatencySpec, port: int, meanwhile: str, latency: float) -> Ev
         },
         films=0,
         out=out,
+        # # Evaluations with delays take as long as they say; a second start goes on.
         resume=out.exists(),
     )
 

@@ -125,6 +125,7 @@ def measure_reward(kind: str, spec: RewardSpec) -> list[tuple[bool, np.ndarray]]
         threads=spec.threads,
         seed=spec.seed,
         autoreset="disabled",
+        # # Links that begin half open would end episodes before the reward can rise.
         open_start=0.0,
         **profile_options(spec),
     )
@@ -177,6 +178,7 @@ def figure(curves: list[tuple[bool, np.ndarray]]) -> Figure:
         if not chosen:
             continue
         length = max(len(r) for r in chosen)
+        # # Percentiles leave NaN out: episodes end at different steps.
         table = np.full((len(chosen), length), np.nan)
         for row, rewards in zip(table, chosen, strict=True):
             row[: len(rewards)] = rewards

@@ -99,6 +99,7 @@ class MemoryCurve:
         """Memory [MB] at the end of each of QUARTERS parts of the job."""
         done, memory = np.array(self.points).T
         ends = self.total * np.arange(1, QUARTERS + 1) / QUARTERS
+        # # The nearest point, as memory is not read in every step.
         return [float(memory[np.abs(done - end).argmin()]) for end in ends]
 
     def summary(self) -> dict[str, Any]:
@@ -143,6 +144,7 @@ def _act_at_random(spec: SoakSpec) -> dict[str, Any]:
             subtask=kind,
             num_envs=spec.worlds,
             threads=spec.threads,
+            # # Equal seeds would give all environments the same homes.
             seed=spec.seed + i,
             **profile_options(spec),
         )

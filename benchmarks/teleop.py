@@ -123,6 +123,7 @@ class ScriptedHuman(HandControl):
         """The action (A,) towards the next waypoint."""
         view = env.view(world)
         goal = self._next(view)
+        # # The key must be let go in between: what counts is that it goes down.
         self._presses = not self._presses and goal.opens != (self.gripper > 0.0)
         arm = list(view.robot.arm_columns)
         rests = bool(np.abs(wrap(goal.q[arm] - view.robot.rest[arm])).max() < REST_RAD)
@@ -179,6 +180,7 @@ def drive(
     guide = Guide()
     (shown,) = rollout(env, make_expert(env), [index], seed, [guide])
     switch = PolicySwitch(env, seed)
+    # # What the person does not move shall stand still.
     switch.choose("zero")
     switch.hand, switch.hand_world = ScriptedHuman(guide.way), 0
     recorder = TakeRecorder(writer, env, {"name": "zero"}, writer.has)

@@ -105,6 +105,7 @@ class Log:
 
     def _take(self, line: str) -> None:
         try:
+            # # Older logs do not tell the device.
             row = {"device": None, **json.loads(line)}
             self.rows[tuple(row[name] for name in KEY)] = row
         except (ValueError, KeyError, TypeError) as error:
@@ -118,6 +119,7 @@ class Log:
         self.rows[leg.key(acting, index)] = named
         if self._path is not None:
             self._path.parent.mkdir(parents=True, exist_ok=True)
+            # # Opened for every row, so that a killed run loses the last line at most.
             with self._path.open("a", encoding="utf-8") as file:
                 file.write(json.dumps(named) + "\n")
 
@@ -286,6 +288,7 @@ def difference(a: SimState, b: SimState) -> dict[str, np.ndarray]:
         "objects": np.linalg.norm(
             a.object_pose[..., :3] - b.object_pose[..., :3], axis=-1
         ),
+        # # The absolute value, because a quaternion and its negative are one turn.
         "turns": 2 * np.arccos(np.clip(dot / norms, 0.0, 1.0)),
         "links": np.abs(a.link_q - b.link_q),
     }

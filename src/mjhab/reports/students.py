@@ -162,6 +162,7 @@ def _digests(runs: Sequence[Path]) -> set[str]:
     ]
     if len(runs) == 1:
         return set(files[0])
+    # # The evaluation hashed the hashes of its members, of which each run has several checkpoints.
     together = ("".join(chosen) for chosen in itertools.product(*files))
     return {hashlib.sha256(text.encode()).hexdigest() for text in together}
 
@@ -219,6 +220,7 @@ def training(run: Path) -> dict[str, Any]:
 def write_rows(path: Path, rows: Sequence[dict[str, Any]]) -> None:
     """Write rows to the file; rows of the same students are replaced."""
     table = {
+        # # Later entries of a dict win: new rows replace those of the file.
         tuple(({"views": WHOLE} | row)[name] for name in IDENTITY): row
         for row in [*read_rows(path), *rows]
     }

@@ -97,6 +97,7 @@ def _measure(
                 break
             try:
                 measure_row(spec, row, lambda now, row=row: tell(row, now.tried), stopped)
+            # # A full disk would fail every other row, too.
             except StorageError:
                 raise
             except MjhabError as error:
@@ -134,8 +135,10 @@ def measure_row(
         navigate=row.navigate or "teleport",
         env=spec.of_profile,
         episodes=row.episodes,
+        # # States are most of the bytes, and the table needs none of them.
         states=False,
         worlds=spec.asked.num_envs,
+        # # A worker with fewer episodes than worlds would run worlds for nothing.
         workers=max(1, min(spec.workers, row.episodes // spec.asked.num_envs)),
         resume=True,
     )

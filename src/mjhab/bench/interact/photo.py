@@ -98,6 +98,7 @@ def measure_photo(
         for samples in spec.samples:
             bench = PhotoBench(scene, spec.shading(samples))
             camera = bench.camera
+            # # Actions of run 0, which is not measured: kernels are compiled in these steps.
             for action in random_actions(scene, spec.asked.seed, 0, WARM_STEPS):
                 bench.step(action)
             runs = []
@@ -107,6 +108,7 @@ def measure_photo(
                 runs.append(measured)
                 advance()
             point = summarize(runs)
+            # # One world on the processor: both would say the same in every point.
             del point["worlds"], point["device_mb"]
             busy = ordered_sum(run["cpu_s"] for run in runs) / (spec.runs * spec.steps)
             cpu_ms = round(1000.0 * busy, 1)
@@ -133,6 +135,7 @@ def measure_run(
     with MemorySampler(resident_mb, lambda: None) as memory:
         before = time.perf_counter()
         bench.reset()
+        # # Time of the process counts all cores, on which the path tracer spreads.
         begun, busy = time.perf_counter(), time.process_time()
         for action in actions:
             images = bench.step(action)

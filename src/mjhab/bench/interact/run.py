@@ -185,6 +185,7 @@ def affine_commands(actions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         return controller.command(action[None], robot_q)[0]
 
     zero = np.zeros((1, len(controller.robot.joints)))
+    # # Computed before the clock runs, as the original replays commands, too.
     offset = np.stack([command(action, zero) for action in actions])
     return offset, command(actions[0], zero + 1.0) - offset[0]
 
@@ -304,6 +305,7 @@ def stage_times(
         bench.sync()
         spent["physics"] += moved - begun
         spent["render"] += time.perf_counter() - moved
+    # # Copies, as the memory of the pictures goes with the bench.
     views = {name: to_numpy(image[0]).copy() for name, image in images.items()}
     times: dict[str, float | None] = {
         f"{stage}_ms": round(1e3 * total / steps, 2) for stage, total in spent.items()
@@ -339,6 +341,7 @@ def write_results(
     """Write interact.json, interact.csv (a row per run) and report.html into a folder."""
 
     def table(path: Path) -> None:
+        # # csv ends lines itself.
         with path.open("w", newline="", encoding="utf-8") as file:
             writer = csv.DictWriter(file, list(COLUMNS))
             writer.writeheader()

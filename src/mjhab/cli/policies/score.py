@@ -142,6 +142,7 @@ def run_check(spec: CheckSpec, json: bool) -> int:
         f"{found.episodes} episodes replayed: {exact} exact, {len(found.inexact)} with the same outcome but other "
         f"states (another machine or version?), {len(found.wrong)} with another outcome. Chosen with seed "
         f"{found.seed}.",
+        # # With --json the one line on stdout belongs to machines.
         file=sys.stderr if json else sys.stdout,
     )
     if json:
@@ -161,6 +162,7 @@ def run_table(spec: LeaderboardSpec, json: bool) -> int:
     results = [read_for_table(path) for path in spec.files]
     places: dict[str, Path] = {}
     for path, result in zip(spec.files, results, strict=True):
+        # # Twice the same result would look like two submissions.
         first = places.setdefault(result.digest, path)
         if first != path:
             raise fault(first, f"the same result as {path}; give one of them.")

@@ -96,12 +96,14 @@ def write_map(folder: Path, scene: str, free: FreeMap) -> tuple[Path, Path, Path
     step = max(1, round(SPACING_M / free.cell))
     cells, faces = _meshed(every[::step, ::step])
     cells = cells * step
+    # # Not strict: the third of the files holds lengths, and no mesh.
     for path, mesh in zip(paths, (_meshed(every), (cells, faces)), strict=False):
         text = _wavefront(free.to_xy(mesh[0]), mesh[1])
         write_atomic(path, lambda temporary, text=text: temporary.write_text(text))
     ways = free.ways_between(cells)
 
     def save(temporary: Path) -> None:
+        # # Given a path, numpy would append .npy to it.
         with temporary.open("wb") as file:
             np.save(file, ways)
 
@@ -164,6 +166,7 @@ def _wavefront(places: np.ndarray, faces: np.ndarray) -> str:
 def _places(path: Path) -> np.ndarray:
     """Vertices (V, 2) of a Wavefront file."""
     rows = []
+    # # Comments of such a file may be in any encoding; only its numbers are read.
     text = read_bytes(path, MAX_MAP_MB).decode("utf-8", "replace")
     for number, line in enumerate(text.splitlines(), 1):
         kind, *numbers = line.split() or [""]
@@ -204,6 +207,7 @@ def _ways(path: Path) -> np.ndarray:
             "numbers (places, places)",
             where=path,
         )
+    # # Infinity is a length, too: furniture can part two places.
     if np.isnan(ways).any() or (ways < 0).any():
         raise fault(path, "it has ways that are negative or no numbers.")
     return ways.astype(np.float32)

@@ -129,7 +129,9 @@ def _parsed(path: Path) -> Any:
             path, "plans in YAML need `pip install pyyaml`; JSON needs nothing."
         ) from error
     try:
+        # # Other loaders make whatever Python object a file names.
         return yaml.safe_load(raw)
+    # # PyYAML reads nested lists by recursion, which a file of brackets exhausts.
     except (yaml.YAMLError, UnicodeDecodeError, RecursionError) as error:
         text = " ".join(str(error).split())
         raise fault(path, f"not valid YAML ({text}).") from error

@@ -15,6 +15,7 @@ def keep_old_habits() -> None:
     """Let wrappers pass on attributes that they lack, and vector wrappers have their former name."""
     if not hasattr(vector, "VectorEnvWrapper"):
         vector.VectorEnvWrapper = vector.VectorWrapper  # type: ignore[attr-defined]
+    # # Gymnasium before 1.0 has it, and its own stays.
     if not hasattr(gymnasium.Wrapper, "__getattr__"):
         gymnasium.Wrapper.__getattr__ = _below  # type: ignore[attr-defined]
 

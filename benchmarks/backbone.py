@@ -42,7 +42,7 @@ def measure(spec: BackboneCostSpec) -> list[dict[str, Any]]:
         for size in spec.sizes:
             shape = (spec.images, size, size, 3)
             images = np.random.default_rng(0).integers(0, 256, shape, np.uint8)
-            # # Time of the process, because the network spreads over cores.
+            # Time of the process, because the network spreads over cores.
             begun = time.process_time()
             backbone.features(images)
             cpu = time.process_time() - begun

@@ -14,8 +14,8 @@ from typing import Any
 
 from benchmarks.command import run_command
 from mjhab.cli.output import print_json, print_table
+from mjhab.core.files.cache import write_text
 from mjhab.core.files.interrupts import sigterm_interrupts
-from mjhab.core.files.run_folder import write_text
 from mjhab.learning.reinforcement.specs import PpoSpec
 from mjhab.learning.reinforcement.train import train_reinforcement
 from mjhab.reports.compared.trainings import FINAL
@@ -65,7 +65,7 @@ def measure_curves(spec: CurvesSpec) -> dict[str, Any]:
             run = spec.out / f"{preset}_{seed}"
             curve = train_curve(preset, seed, spec.samples, run)
             found[f"{preset}/{seed}"] = {"curve": curve, "samples_to": samples_to(curve)}
-            # # After every run: all of them take hours.
+            # After every run: all of them take hours.
             write_text(spec.out / RESULT, json.dumps(found, indent=1) + "\n")
     return found
 
@@ -109,7 +109,7 @@ def _is_through(summary: Path, samples: int) -> bool:
     if not summary.is_file():
         return False
     found = json.loads(summary.read_text(encoding="utf-8"))
-    # # A run that was stopped before its final evaluation has no episodes.
+    # A run that was stopped before its final evaluation has no episodes.
     return found["samples"] >= samples and found["episodes"] > 0
 
 

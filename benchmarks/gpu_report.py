@@ -25,7 +25,7 @@ from mjhab.bench.environments import env as bench_env
 from mjhab.bench.interact.run import measure_interact
 from mjhab.bench.specs import EnvBenchSpec, InteractSpec
 from mjhab.core.errors import MjhabError, UsageError, unknown_name
-from mjhab.core.files.cache import write_atomic
+from mjhab.core.files.cache import write_text
 from mjhab.core.machine import cores, gpu_name, installed
 from mjhab.core.version import __version__
 from mjhab.envs.estimate import estimate_rows
@@ -86,7 +86,7 @@ def interact_results(has_gpu: bool) -> dict[str, Any]:
     ]
     return {
         "points": [
-            # # One by one: a number of worlds that does not fit must not cost the others.
+            # One by one: a number of worlds that does not fit must not cost the others.
             attempt(lambda plan=plan: measure_interact(plan)[0], _words(plan))
             for plan in plans
         ]
@@ -224,7 +224,7 @@ def report(out: Path, names: Sequence[str] = ()) -> None:
 
     Without names: all; the quick parity report in place of the full one, which takes an hour, where there is no GPU.
     """
-    # # First, as nothing can be measured without Warp.
+    # First, as nothing can be measured without Warp.
     resolve("warp")
     for name in names:
         if name not in MEASURES:
@@ -237,10 +237,7 @@ def report(out: Path, names: Sequence[str] = ()) -> None:
         told = {"command": f"python -m benchmarks.gpu_report docs/results {name}"}
         text = json.dumps(told | head | MEASURES[name](has_gpu), indent=1) + "\n"
         path = out / f"gpu-{name}.json"
-        write_atomic(
-            path,
-            lambda temporary, text=text: temporary.write_text(text, encoding="utf-8"),
-        )
+        write_text(path, text)
         print(path, flush=True)
     if not has_gpu:
         print(f"Note: {NO_GPU}.")

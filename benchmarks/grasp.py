@@ -140,9 +140,9 @@ class GraspBench:
     def _grip(self, grasp: Grasp) -> None:
         """Rest pose, fingers at the object, object between them."""
         self.data.qpos[self.qpos] = self.rest
-        # # The object lies between two fingers, each of which opens by half.
+        # The object lies between two fingers, each of which opens by half.
         self.data.qpos[self.qpos[self.robot.columns.fingers]] = 0.5 * grasp.width
-        # # Places of bodies are needed before the object can be put into the hand.
+        # Places of bodies are needed before the object can be put into the hand.
         mujoco.mj_kinematics(self.model, self.data)
         c = np.cos(grasp.turn)
         s = np.sin(grasp.turn)
@@ -213,7 +213,7 @@ def _shake(robot: Robot, name: str, seconds: float, seed: int) -> dict[str, obje
     joints = len(robot.arm_columns)
     phase = stream(seed, "grasp_bench").uniform(0.0, 2 * np.pi, joints)
     for _ in range(SETTLE_STEPS):
-        # # The grip gives a little at first, which is no slip.
+        # The grip gives a little at first, which is no slip.
         bench.step(bench.rest, 0.0, 0.0)
     pos0, turn0 = bench.pose_in_hand()
     held_point = turn0.T @ -pos0
@@ -224,7 +224,7 @@ def _shake(robot: Robot, name: str, seconds: float, seed: int) -> dict[str, obje
     for k in range(steps):
         bench.step(*shake_motion(bench.robot, k * STEP_SECONDS, bench.rest, phase))
         pos, turn = bench.pose_in_hand()
-        # # At the point that was held: a turn in the fingers alone is no slip.
+        # At the point that was held: a turn in the fingers alone is no slip.
         slip = max(slip, float(np.linalg.norm(pos + turn @ held_point)))
         cosine = 0.5 * (np.trace(turn0.T @ turn) - 1.0)
         angle = max(angle, float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))))

@@ -69,7 +69,7 @@ def way_points(start: np.ndarray) -> np.ndarray:
     out = []
     for _, angle, reach, above in WAY:
         goal = np.array([[SHOULDER_X + reach, 0.0, surface + above]])
-        # # A fixed seed: the same recipe gives the same file.
+        # A fixed seed: the same recipe gives the same file.
         seeds = random_seeds(chain, now, dofs, 64, np.random.default_rng(0), spread=0.3)
         found = solve(chain, TipGoals(goal, down[None], dofs, now), seeds)
         best, price = found.best(np.abs(found.q - now).max(axis=-1))
@@ -95,9 +95,9 @@ def record(scene: InteractScene) -> np.ndarray:
         state = sim.state()
         at = min(step + 1 + AHEAD, STEPS)
         goal = np.array([np.interp(at, times, knots[:, j]) for j in range(len(arm))])
-        # # From where the arm is and not where it was sent, so that errors do not add up.
+        # From where the arm is and not where it was sent, so that errors do not add up.
         wanted = (goal - state.robot_q[0, arm]) / controller.limits.joint_delta
-        # # Rounded before it acts, because the file has no more digits.
+        # Rounded before it acts, because the file has no more digits.
         done[step] = np.round(np.clip(wanted, -1.0, 1.0), DIGITS)
         sim.step(controller.ctrl(with_body(scene, done[step : step + 1]), state))
     return done

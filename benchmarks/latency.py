@@ -13,7 +13,7 @@ from typing import Any
 
 from benchmarks.command import run_command
 from mjhab.cli.output import print_json, print_table
-from mjhab.core.files.run_folder import write_text
+from mjhab.core.files.cache import write_text
 from mjhab.evaluation.evaluate import run_evaluation
 from mjhab.evaluation.resolve import PolicyOptions
 from mjhab.evaluation.specs import EvalSpec
@@ -105,7 +105,7 @@ def _request(spec: LatencySpec, port: int, meanwhile: str, latency: float) -> Ev
         },
         films=0,
         out=out,
-        # # Evaluations with delays take as long as they say; a second start goes on.
+        # Evaluations with delays take as long as they say; a second start goes on.
         resume=out.exists(),
     )
 

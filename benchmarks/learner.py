@@ -108,7 +108,7 @@ def measure_ppo(spec: LearnerSpec) -> dict[str, Any]:
         updating, _ = _timed(lambda: learner.update(rollout, 0.0))  # noqa: B023 (called at once)
         shape = (steps, config.worlds, len(layout.actions))
         actions = config.ppo.initial_std * torch.randn(shape, generator=random)
-        # # In turns with the learner, so that a busier machine slows both.
+        # In turns with the learner, so that a busier machine slows both.
         alone, _ = _timed(lambda: _step_alone(worlds, actions))  # noqa: B023
         if number:  # the first round compiles and warms up
             rows.append((collecting + updating, within, updating, alone))
@@ -137,7 +137,7 @@ def measure_sac(preset: str, batch: int, spec: LearnerSpec) -> float:
         learner.update(learner.batch(buffer, None), 0, 0.0, False)
 
     assert config.sac is not None
-    # # The first update of the actor comes so late, and kernels are chosen in it.
+    # The first update of the actor comes so late, and kernels are chosen in it.
     for _ in range(config.sac.policy_delay):
         update()
     seconds, _ = _timed(lambda: [update() for _ in range(spec.updates)])

@@ -43,7 +43,7 @@ def main() -> None:
 
 def measured(env: Any, worlds: int, steps: int) -> dict[str, float]:
     """Medians over the steps: "inside" [ms] of our environment, "around" [ms] of the layer, and its share [%]."""
-    # # Time of the process would count waiting threads.
+    # Time of the process would count waiting threads.
     torch.set_num_threads(1)
     below = env.unwrapped.worlds
     inside = [0.0]

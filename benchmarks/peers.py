@@ -66,7 +66,7 @@ def measure(spec: PeersSpec) -> dict[str, Any]:
 
 def _keep(rows: dict[str, dict[str, Any]], row: dict[str, Any]) -> None:
     before = rows.get(row["name"])
-    # # The best round: others on the machine can only make it slower.
+    # The best round: others on the machine can only make it slower.
     if before is None or row["steps_per_s"] > before["steps_per_s"]:
         rows[row["name"]] = row
 
@@ -86,7 +86,7 @@ def _ours(spec: PeersSpec, worlds: int, obs: str) -> dict[str, Any]:
     )
     env.reset(seed=0)
     env.action_space.seed(0)
-    # # The first step compiles kernels.
+    # The first step compiles kernels.
     env.step(env.action_space.sample())
     count = 0
     begun = time.perf_counter()
@@ -120,10 +120,10 @@ def _theirs(spec: PeersSpec, name: str) -> dict[str, Any] | str:
         return reason(error)
     said = done.stdout.strip().splitlines()
     if done.returncode or not said:
-        # # The last line of a traceback says what was wrong.
+        # The last line of a traceback says what was wrong.
         last = done.stderr.strip().splitlines() or ["it said nothing"]
         return last[-1]
-    # # Peers greet on stdout, so only the last line is ours.
+    # Peers greet on stdout, so only the last line is ours.
     return {"name": name, **json.loads(said[-1])}
 
 

@@ -97,7 +97,7 @@ PEERS: dict[str, Callable[[], Found]] = {
 def measure(name: str, seconds: float) -> dict[str, Any]:
     """Control steps per second of one environment, one process."""
     found, step, images = PEERS[name]()
-    # # Peers compile or load in their first step, too.
+    # Peers compile or load in their first step, too.
     step()
     count = 0
     begun = time.perf_counter()

@@ -70,9 +70,9 @@ def measure(spec: PerturbSpec) -> dict[str, Any]:
     random = np.random.default_rng(0)
     for turn in range(spec.turns + 1):
         actions = random.uniform(-1, 1, (spec.steps, *envs[CLEAN].action_space.shape))
-        # # In turns, so that a busier machine slows all of them.
+        # In turns, so that a busier machine slows all of them.
         for axis, env in envs.items():
-            # # Rubbish of one environment must not be collected in the time of another.
+            # Rubbish of one environment must not be collected in the time of another.
             gc.collect()
             begun = time.process_time()
             for action in actions.astype(np.float32):

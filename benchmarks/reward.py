@@ -15,7 +15,7 @@ from benchmarks.command import run_command
 from benchmarks.profile_choice import ProfileChoice, profile_options
 from mjhab.cli.output import print_json, print_table
 from mjhab.core.errors import unknown_name
-from mjhab.core.files.cache import write_atomic
+from mjhab.core.files.cache import write_text
 from mjhab.core.files.outputs import check_folder
 from mjhab.core.progress import progress_bar
 from mjhab.reports.pages import Section, render_sections
@@ -105,10 +105,7 @@ def measure_rewards(spec: RewardSpec) -> dict[str, dict[str, Any]]:
     ]
     about = f"Profile {spec.profile}."
     page = render_sections("Dense reward of the expert", sections, figures, about)
-    spec.out.mkdir(parents=True, exist_ok=True)
-    write_atomic(
-        spec.out / REPORT, lambda temporary: temporary.write_text(page, encoding="utf-8")
-    )
+    write_text(spec.out / REPORT, page)
     return found
 
 
@@ -125,7 +122,7 @@ def measure_reward(kind: str, spec: RewardSpec) -> list[tuple[bool, np.ndarray]]
         threads=spec.threads,
         seed=spec.seed,
         autoreset="disabled",
-        # # Links that begin half open would end episodes before the reward can rise.
+        # Links that begin half open would end episodes before the reward can rise.
         open_start=0.0,
         **profile_options(spec),
     )
@@ -178,7 +175,7 @@ def figure(curves: list[tuple[bool, np.ndarray]]) -> Figure:
         if not chosen:
             continue
         length = max(len(r) for r in chosen)
-        # # Percentiles leave NaN out: episodes end at different steps.
+        # Percentiles leave NaN out: episodes end at different steps.
         table = np.full((len(chosen), length), np.nan)
         for row, rewards in zip(table, chosen, strict=True):
             row[: len(rewards)] = rewards

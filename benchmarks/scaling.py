@@ -52,7 +52,7 @@ class StepTime:
         threads = np.array([row["threads"] for row in rows], float)
         times = worlds / np.array([row[f"{name}_sps"] for row in rows], float)
         parts = np.stack([np.ones_like(worlds), worlds, worlds / threads], axis=1)
-        # # Divided by the times, as small and large numbers of worlds shall count alike.
+        # Divided by the times, as small and large numbers of worlds shall count alike.
         found, _ = nnls(parts / times[:, None], np.ones_like(times))
         fixed, serial, parallel = (float(value) for value in found)
         return cls(

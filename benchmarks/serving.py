@@ -100,7 +100,7 @@ class StillServer:
     def kill(self) -> None:
         """End the process at once."""
         self._process.kill()
-        # # Its port is free only when the process is gone.
+        # Its port is free only when the process is gone.
         self._process.wait()
 
     def _start(self, port: int) -> subprocess.Popen[str]:
@@ -139,7 +139,7 @@ def measure_serving(spec: ServingSpec) -> dict[str, Any]:
         for worlds in (1, spec.worlds):
             name = f"{dialect}, {worlds} world{'s' if worlds > 1 else ''}"
             requests[name] = measure_requests(dialect, worlds, spec.requests)
-        # # The median, as other processes can delay single requests.
+        # The median, as other processes can delay single requests.
         slowest = max(slowest, requests[f"{dialect}, 1 world"]["p50"])
     restarted = measure_restarts(spec)
     lost = restarted["episodes"] - restarted["finished"] - restarted["marked"]
@@ -163,13 +163,13 @@ def measure_requests(dialect: str, worlds: int, requests: int) -> dict[str, floa
         with ThreadPoolExecutor(worlds) as pool:
 
             def step() -> None:
-                # # A list, because map of a pool tells errors only when it is read.
+                # A list, because map of a pool tells errors only when it is read.
                 list(
                     pool.map(lambda connection: connection.ask([ask], False), connections)
                 )
 
             for connection in connections:
-                # # The first request of an episode is another one, and is not timed.
+                # The first request of an episode is another one, and is not timed.
                 connection.ask([ask], True)
             times = _timed(step, requests)
         for connection in connections:

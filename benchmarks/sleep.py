@@ -105,7 +105,7 @@ def _without_sleep(
 
     @cache
     def wakeful(home: str) -> mujoco.MjModel:
-        # # A copy: the simulator shares its models with others through the cache.
+        # A copy: the simulator shares its models with others through the cache.
         model = copy.copy(model_of(home))
         model.opt.sleep_tolerance = 0.0
         return model
@@ -123,7 +123,7 @@ def _run_warp(
     sizes = (
         None
         if sleep
-        # # Awake objects touch more than the default buffers hold.
+        # Awake objects touch more than the default buffers hold.
         else BufferSizes(contacts=2048 * leg.worlds, ccd=1024 * leg.worlds, rows=4096)
     )
     sim = WarpSimulator(env.layout, leg.worlds, leg.device, env.controller.drives, sizes)

@@ -19,7 +19,7 @@ from benchmarks.command import run_command
 from benchmarks.profile_choice import ProfileChoice, profile_options
 from mjhab.cli.output import print_json, print_table
 from mjhab.core.errors import UsageError
-from mjhab.core.files.cache import write_atomic
+from mjhab.core.files.cache import write_text
 from mjhab.core.files.outputs import check_folder
 from mjhab.core.machine import resident_mb
 from mjhab.core.memory_cache import memory_limit_mb, memory_use, set_memory_limit
@@ -99,7 +99,7 @@ class MemoryCurve:
         """Memory [MB] at the end of each of QUARTERS parts of the job."""
         done, memory = np.array(self.points).T
         ends = self.total * np.arange(1, QUARTERS + 1) / QUARTERS
-        # # The nearest point, as memory is not read in every step.
+        # The nearest point, as memory is not read in every step.
         return [float(memory[np.abs(done - end).argmin()]) for end in ends]
 
     def summary(self) -> dict[str, Any]:
@@ -144,7 +144,7 @@ def _act_at_random(spec: SoakSpec) -> dict[str, Any]:
             subtask=kind,
             num_envs=spec.worlds,
             threads=spec.threads,
-            # # Equal seeds would give all environments the same homes.
+            # Equal seeds would give all environments the same homes.
             seed=spec.seed + i,
             **profile_options(spec),
         )
@@ -292,17 +292,13 @@ def bench_soak(spec: SoakSpec) -> int:
     found = soak(spec)
     if spec.out is not None:
         name = "generation with the expert" if spec.generate else "random actions"
-        _write(spec.out / RESULTS, json.dumps(found, indent=1) + "\n")
-        _write(spec.out / PICTURE, memory_picture({name: found}))
+        write_text(spec.out / RESULTS, json.dumps(found, indent=1) + "\n")
+        write_text(spec.out / PICTURE, memory_picture({name: found}))
     if spec.json:
         print_json(found)
     else:
         _print(found)
     return 0 if found["ok"] else 1
-
-
-def _write(path: Path, text: str) -> None:
-    write_atomic(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
 
 
 def _print(found: dict[str, Any]) -> None:

@@ -14,7 +14,7 @@ import numpy as np
 import mjhab
 from benchmarks.command import run_command
 from mjhab.cli.output import print_json, print_table
-from mjhab.core.files.run_folder import write_text
+from mjhab.core.files.cache import write_text
 from mjhab.core.rotations import wrap
 from mjhab.data.store.places import episodes
 from mjhab.data.store.reading import RecordedEpisode
@@ -123,7 +123,7 @@ class ScriptedHuman(HandControl):
         """The action (A,) towards the next waypoint."""
         view = env.view(world)
         goal = self._next(view)
-        # # The key must be let go in between: what counts is that it goes down.
+        # The key must be let go in between: what counts is that it goes down.
         self._presses = not self._presses and goal.opens != (self.gripper > 0.0)
         arm = list(view.robot.arm_columns)
         rests = bool(np.abs(wrap(goal.q[arm] - view.robot.rest[arm])).max() < REST_RAD)
@@ -180,7 +180,7 @@ def drive(
     guide = Guide()
     (shown,) = rollout(env, make_expert(env), [index], seed, [guide])
     switch = PolicySwitch(env, seed)
-    # # What the person does not move shall stand still.
+    # What the person does not move shall stand still.
     switch.choose("zero")
     switch.hand, switch.hand_world = ScriptedHuman(guide.way), 0
     recorder = TakeRecorder(writer, env, {"name": "zero"}, writer.has)

@@ -94,7 +94,7 @@ def _measure(worlds: int, spec: ViewSpec) -> dict[str, float]:
     viewer = Viewer(session, port=0)
     try:
         viewer.start()
-        # # Without a page the first frame tells how long the worlds take to open.
+        # Without a page the first frame tells how long the worlds take to open.
         _wait(lambda: viewer.frames > 0, viewer)
         opened = time.perf_counter()
         page = CountingPage(viewer.port)
@@ -133,7 +133,7 @@ def _rates(
     frame_cpu = viewer.frame_cpu_s
     cpu = time.process_time()
     begun = time.perf_counter()
-    # # This thread must not work: its time would count for the viewer.
+    # This thread must not work: its time would count for the viewer.
     time.sleep(seconds)
     spent = time.perf_counter() - begun
     shown = max(viewer.frames - frames, 1)

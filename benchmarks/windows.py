@@ -72,7 +72,7 @@ def measure_windows(spec: WindowsSpec) -> dict[str, Any]:
     data = WindowDataset(
         spec.places, Window(history=spec.history, chunk=spec.chunk, images=images)
     )
-    # # Windows per core are asked for.
+    # Windows per core are asked for.
     torch.set_num_threads(1)
     sampler = SeededSampler(len(data), spec.seed)
     passes = {"first": _read(data, sampler, spec.batch, 0.0)}

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from mjhab.core.errors import UsageError
-from mjhab.core.files.cache import write_atomic
+from mjhab.core.files.cache import write_text
 from mjhab.envs.sequential import SequentialTaskEnv
 from mjhab.rollout.loop import rollout
 from mjhab.rollout.policy import RolloutEnv
@@ -99,13 +99,11 @@ class Log:
             for line in lines[:-1] if lines and not lines[-1].endswith("\n") else lines:
                 self._take(line)
             kept = "".join(json.dumps(row) + "\n" for row in self.rows.values())
-            write_atomic(
-                path, lambda temporary: temporary.write_text(kept, encoding="utf-8")
-            )
+            write_text(path, kept)
 
     def _take(self, line: str) -> None:
         try:
-            # # Older logs do not tell the device.
+            # Older logs do not tell the device.
             row = {"device": None, **json.loads(line)}
             self.rows[tuple(row[name] for name in KEY)] = row
         except (ValueError, KeyError, TypeError) as error:
@@ -119,7 +117,7 @@ class Log:
         self.rows[leg.key(acting, index)] = named
         if self._path is not None:
             self._path.parent.mkdir(parents=True, exist_ok=True)
-            # # Opened for every row, so that a killed run loses the last line at most.
+            # Opened for every row, so that a killed run loses the last line at most.
             with self._path.open("a", encoding="utf-8") as file:
                 file.write(json.dumps(named) + "\n")
 
@@ -288,7 +286,7 @@ def difference(a: SimState, b: SimState) -> dict[str, np.ndarray]:
         "objects": np.linalg.norm(
             a.object_pose[..., :3] - b.object_pose[..., :3], axis=-1
         ),
-        # # The absolute value, because a quaternion and its negative are one turn.
+        # The absolute value, because a quaternion and its negative are one turn.
         "turns": 2 * np.arccos(np.clip(dot / norms, 0.0, 1.0)),
         "links": np.abs(a.link_q - b.link_q),
     }

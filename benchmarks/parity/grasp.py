@@ -72,7 +72,7 @@ def _shake(
     slip = np.zeros(worlds)
     for k in range(round(seconds / STEP_SECONDS)):
         goal, forward, turn = shake_motion(layout.robot, k * STEP_SECONDS, rest, phase)
-        # # One backend has float32: both get the same commands in double precision.
+        # One backend has float32: both get the same commands in double precision.
         measured = to_numpy(sim.state().robot_q).astype(np.float64)
         ctrl = measured + np.clip(goal - measured, -0.1, 0.1)
         ctrl[:, BASE_X] = forward * np.cos(measured[:, BASE_YAW])

@@ -131,7 +131,7 @@ def run_drift(legs: list[Leg], steps: int, log: Log) -> list[Row]:
     """Rows of `run_equal` of as many episodes as there are worlds, ``steps`` long whether they succeed or not."""
     rows = []
     for leg in legs:
-        # # The length is part of the name, so that a run with another one starts anew.
+        # The length is part of the name, so that a run with another one starts anew.
         acting = f"drift{steps}"
         indices = range(leg.worlds)
         if missing := log.missing(leg, acting, indices):
@@ -148,11 +148,11 @@ def run_episodes(legs: list[Leg], episodes: int, log: Log) -> None:
     with progress_bar("expert episodes", len(plans) * each) as advance:
         for leg, acting in plans:
             missing = log.missing(leg, acting, range(each))
-            # # The bar begins where the log ends.
+            # The bar begins where the log ends.
             for _ in range(each - len(missing)):
                 advance()
 
-            # # Defaults bind the leg of this turn of the loop.
+            # Defaults bind the leg of this turn of the loop.
             def done(index: int, row: Row, leg: Leg = leg, acting: str = acting) -> None:
                 log.add(leg, acting, index, row)
                 advance()

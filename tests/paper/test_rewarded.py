@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from mjhab.core.files.run_folder import write_text
+from mjhab.core.files.cache import write_text
 from mjhab.learning.reinforcement.specs import ReinforcementSpec
 from mjhab.paper.reproduce.make import reproduce
 from mjhab.paper.reproduce.results import curves_figure, outcomes, result_of

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from mjhab.core.errors import UsageError
-from mjhab.core.files.run_folder import write_text
+from mjhab.core.files.cache import write_text
 from mjhab.rollout.loop import rollout
 from mjhab.rollout.policy import ZeroPolicy
 from mjhab.rollout.records import EpisodeRecord

@@ -20,7 +20,7 @@ from mjhab.assets.archive import safe_path, unpack
 from mjhab.assets.hub import Repository, download, list_files
 from mjhab.assets.sources import Source
 from mjhab.core.errors import fault
-from mjhab.core.files.cache import write_atomic
+from mjhab.core.files.cache import write_text
 from mjhab.core.files.locking import WriteLock
 from mjhab.core.files.reading import parse_json
 
@@ -272,9 +272,7 @@ def _write_record(folder: Path, provenance: dict[str, str]) -> dict[str, dict[st
         if path.name != RECORD
     }
     body = json.dumps({"format": FORMAT, **provenance, "files": files}, indent=1)
-    write_atomic(
-        folder / RECORD, lambda temporary: temporary.write_text(body, encoding="utf-8")
-    )
+    write_text(folder / RECORD, body)
     return files
 
 

@@ -41,7 +41,7 @@ class Command:
         if self.spec:
             return load(self.spec)
         function = self.load_run()
-        # # The first parameter of what runs a command is its specification.
+        # The first parameter of what runs a command is its specification.
         name = next(iter(function.__annotations__.values()))
         return getattr(sys.modules[function.__module__], name)
 
@@ -413,20 +413,20 @@ def find(args: Sequence[str]) -> tuple[Command, Sequence[str]]:
         UsageError: there is no such command; the message names the nearest, or where a bench is now.
     """
     first = args[0]
-    # # Two words first: `score` is a command, and `score check` another.
+    # Two words first: `score` is a command, and `score check` another.
     if tuple(args[:2]) in BY_WORDS:
         return BY_WORDS[tuple(args[:2])], args[2:]
     if first in GROUPS:
         inside = [command.words[1] for command in COMMANDS if command.words[0] == first]
         second = args[1] if len(args) > 1 else ""
-        # # These were commands once, and old notes and scripts still call them.
+        # These were commands once, and old notes and scripts still call them.
         if first == "bench" and second in DEVELOPERS_BENCHES:
             raise UsageError(
                 f"`mjhab bench {second}` is `python -m benchmarks.{second}` now, in a checkout of mjhab."
             )
         raise unknown_name(f"command of {first}", second, inside)
     if (first,) not in BY_WORDS:
-        # # For the nearest name in the message; groups are no commands by themselves.
+        # For the nearest name in the message; groups are no commands by themselves.
         names = [*(command.words[0] for command in COMMANDS), *GROUPS, CONFIG]
         raise unknown_name("command", first, list(dict.fromkeys(names)))
     return BY_WORDS[(first,)], args[1:]

@@ -21,6 +21,6 @@ def stopped(kept: str, again: str = WITH_RESUME, does: str = "continues") -> int
         again: how the same command is run again; "" for as it is.
         does: what it does then.
     """
-    # # Not by `say`, which would import more than `--help` needs.
+    # Not by `say`, which would import more than `--help` needs.
     print(f"mjhab: interrupted; {kept}. The same command{again} {does}.", file=sys.stderr)
     return INTERRUPTED

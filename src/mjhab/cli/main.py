@@ -52,7 +52,7 @@ def main(args: Sequence[str] | None = None) -> int:
 
 def exit_code_of(work: Callable[[], int]) -> int:
     """Do the work of a command; an error that it raises is told in a line on stderr and becomes the exit code."""
-    # # First of all: even a message about a wrong option may meet a closed stream.
+    # First of all: even a message about a wrong option may meet a closed stream.
     make_streams_sturdy()
     show_own_warnings_plainly()
     try:
@@ -83,7 +83,7 @@ def exit_code_of(work: Callable[[], int]) -> int:
 def _end(code: int, message: str) -> int:
     """Print to stderr, if possible, why a command ended; returns ``code``."""
     print(f"mjhab: {message}", file=sys.stderr, flush=True)
-    # # Otherwise the interpreter tries to flush it at its end, and tells a second error.
+    # Otherwise the interpreter tries to flush it at its end, and tells a second error.
     drop_unwritable_stdout()
     return code
 
@@ -122,13 +122,13 @@ def _print_help(usage: str, description: str, group: str) -> NoReturn:
     print(f"usage: {usage} [OPTIONS]\n\n{description}\n\ncommands:")
     print(commands.overview(group))
     print("\nEach command tells its options: COMMAND --help")
-    # # As tyro ends after its own help.
+    # As tyro ends after its own help.
     sys.exit(0)
 
 
 def run(parsed: Parsed) -> int:
     """Run a parsed command and return the exit code."""
-    # # Before the specification is made, whose checks know names of tasks and robots of plugins.
+    # Before the specification is made, whose checks know names of tasks and robots of plugins.
     register_all()
     if parsed.cache_mb is not None:
         set_memory_limit(parsed.cache_mb)

@@ -23,7 +23,7 @@ FRAME_WIDTH = 3
 
 def print_json(value: Mapping[str, Any]) -> None:
     """Print ``value`` as one line on stdout, for machines."""
-    # # Flushed, because a reader may wait for the line while the command goes on serving.
+    # Flushed, because a reader may wait for the line while the command goes on serving.
     print(json.dumps(value, allow_nan=False), flush=True)
 
 
@@ -75,7 +75,7 @@ def print_table(
     Nothing is cut off. Where nobody sees a terminal, every row is one line, as wide as its content.
     """
     rows = [list(row) for row in rows]
-    # # Without a terminal rich assumes 80 columns, and wrapped rows are hard to search.
+    # Without a terminal rich assumes 80 columns, and wrapped rows are hard to search.
     console = Console(width=None if sys.stdout.isatty() else PIPED_WIDTH)
     widths = _widths([columns, *rows], console.width - 1 - FRAME_WIDTH * len(columns))
     if widths is None:
@@ -86,7 +86,7 @@ def print_table(
     table = Table(title=title, title_justify="left", title_style="bold")
     for i, name in enumerate(columns):
         numeric = bool(rows) and all(
-            # # True and False are ints for Python, but words for a reader.
+            # True and False are ints for Python, but words for a reader.
             isinstance(row[i], int | float) and not isinstance(row[i], bool)
             for row in rows
         )
@@ -94,7 +94,7 @@ def print_table(
             name, justify="right" if numeric else "left", width=widths[i], overflow="fold"
         )
     for row in rows:
-        # # As Text, because rich would read brackets in a name as markup.
+        # As Text, because rich would read brackets in a name as markup.
         table.add_row(*(Text(str(cell)) for cell in row))
     console.print(table)
 

@@ -93,7 +93,7 @@ class Option:
         hint = self.hint
         default = self.default
         shown = self.flag.shown or ("default: none" if default in ((), "", {}) else "")
-        # # tyro would name no hint for a positional argument.
+        # tyro would name no hint for a positional argument.
         if self.flag.positional and default is dataclasses.MISSING:
             shown = "required"
         if self.keyed is not None:
@@ -101,7 +101,7 @@ class Option:
         if self.optional and not self.is_switch:
             hint = hint | None
             shown = shown or f"default: {_in_words(default)}"
-            # # None tells an option that was not given from one with the value of its default.
+            # None tells an option that was not given from one with the value of its default.
             default = None
         flag = tyro.conf.arg(
             name=f"{self.name}.{self.keyed.key}" if self.keyed else self.name,
@@ -164,12 +164,12 @@ def parse_words(command: Command, words: Sequence[str]) -> Parsed:
     spec_type = command.spec_type
     options = list(options_of(spec_type))
     words = with_own_options(command.name, words, [o.name for o in options])
-    # # Their names are open, such as --perturb.NAME, and tyro knows closed lists only.
+    # Their names are open, such as --perturb.NAME, and tyro knows closed lists only.
     words, entries = _without_keyed(words, options)
     extra = [JSON, CACHE_MB] if command.memory else [JSON]
     fields = [option.as_field() for option in (*options, *extra)]
     given = tyro.cli(
-        # # By keyword: fields without a default may follow others.
+        # By keyword: fields without a default may follow others.
         dataclasses.make_dataclass("Options", fields, kw_only=True),
         prog=f"mjhab {command.name}",
         description=summary_of(spec_type),

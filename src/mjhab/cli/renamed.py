@@ -51,7 +51,7 @@ def with_own_options(
     new = {
         old: name
         for old, name in {**SPAWN_RULE, **OPTIONS.get(command, {})}.items()
-        # # A command may use the old name for something else today.
+        # A command may use the old name for something else today.
         if old not in known and name in known
     }
     found: list[str] = []

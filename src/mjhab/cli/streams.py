@@ -56,7 +56,7 @@ def make_streams_sturdy() -> None:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
-    # # Tests call main several times in one process.
+    # Tests call main several times in one process.
     if not isinstance(sys.stderr, SturdyStream):
         sys.stderr = cast(TextIO, SturdyStream(sys.stderr))
 
@@ -84,7 +84,7 @@ def _discard_output(stream: TextIO) -> None:
     except (OSError, ValueError):
         return
     nowhere = os.open(os.devnull, os.O_WRONLY)
-    # # The descriptor and not the object: libraries in C write to it, too.
+    # The descriptor and not the object: libraries in C write to it, too.
     os.dup2(nowhere, number)
     os.close(nowhere)
 
@@ -137,7 +137,7 @@ def with_way_on(advice: str) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        # # Without a file name it is the terminal or a pipe, and more space would not help.
+        # Without a file name it is the terminal or a pipe, and more space would not help.
         if error.errno not in DISK_ERRORS or error.filename is None:
             raise
         raise MjhabError(f"{described(error)} {advice}") from error

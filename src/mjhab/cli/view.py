@@ -53,7 +53,7 @@ def _serve(spec: ViewSpec, json: bool) -> int:
     try:
         source.prepare()
         viewer = Viewer(source, spec.host, spec.port, hold=True)
-    # # Ctrl-C while a home is compiled must not leave its workers behind.
+    # Ctrl-C while a home is compiled must not leave its workers behind.
     except BaseException:
         source.close()
         raise
@@ -67,7 +67,7 @@ def _serve(spec: ViewSpec, json: bool) -> int:
                 in_use = spec.port not in (0, viewer.port)
                 other = f" (port {spec.port} is in use)" if in_use else ""
                 print(f"Open {url}{other}. Ctrl-C ends.", flush=True)
-            # # The page is served by threads of viser; this one has nothing to do but end.
+            # The page is served by threads of viser; this one has nothing to do but end.
             threading.Event().wait()
     except KeyboardInterrupt:
         pass
@@ -87,7 +87,7 @@ def _source(spec: ViewSpec) -> ViewSource:
     asked = spec.asked
     for policy in (spec.policy, *spec.policies):
         if policy != HUMAN:
-            # # Before the page opens, where a wrong name would only show as a world that stands still.
+            # Before the page opens, where a wrong name would only show as a world that stands still.
             inspect_policy(full_spec(policy, asked.task, asked.subtask, asked.target))
     # Nobody drives before a page is open, and time would run out: the page begins with a pause.
     pace = RealTimeClock(playing=spec.policy != HUMAN)

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from mjhab.core.errors import fault
-from mjhab.core.files.cache import write_atomic
+from mjhab.core.files.cache import write_text
 from mjhab.core.files.outputs import naming_file
 from mjhab.core.files.reading import parse_json
 from mjhab.episodes.generator import EpisodeMaker
@@ -168,9 +168,7 @@ def _write_manifest(
         for r in rows
     ]
     text = json.dumps({**header, "episodes": listed}, indent=1)
-    write_atomic(
-        manifest_path(out), lambda temporary: temporary.write_text(text, encoding="utf-8")
-    )
+    write_text(manifest_path(out), text)
 
 
 def _resume(
@@ -197,10 +195,7 @@ def _resume(
             "add --overwrite.",
         )
     kept = [json.dumps(header), *(json.dumps(asdict(row)) for row in rows)]
-    write_atomic(
-        partial,
-        lambda temporary: temporary.write_text("\n".join(kept) + "\n", encoding="utf-8"),
-    )
+    write_text(partial, "\n".join(kept) + "\n")
     return rows
 
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from mjhab.config.env import EnvConfig, task_config
 from mjhab.core.errors import fault, wrong_value
-from mjhab.core.files.cache import write_atomic
+from mjhab.core.files.cache import write_text
 from mjhab.episodes.episode import Episode
 from mjhab.episodes.generator import EpisodeMaker
 from mjhab.episodes.source import open_setting
@@ -173,8 +173,7 @@ def _resume(folder: Path, header: dict[str, Any], overwrite: bool) -> None:
                 "or add --overwrite.",
             )
         _clear(folder)
-    folder.mkdir(parents=True, exist_ok=True)
-    write_atomic(note, lambda temporary: temporary.write_text(text, encoding="utf-8"))
+    write_text(note, text)
 
 
 def _clear(folder: Path) -> None:

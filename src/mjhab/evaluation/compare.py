@@ -13,8 +13,9 @@ from typing import Annotated, Any
 
 from mjhab.config.env import EnvConfig
 from mjhab.core.errors import UsageError, fault, shown
+from mjhab.core.files.cache import write_text
 from mjhab.core.files.reading import read_json_object
-from mjhab.core.files.run_folder import CONFIG, write_text
+from mjhab.core.files.run_folder import CONFIG
 from mjhab.core.typed.bounds import Bound, Output
 from mjhab.core.typed.flags import Flag
 from mjhab.core.typed.options import take_options

@@ -82,10 +82,10 @@ class LeRobotEnv(gymnasium.Env):
     ) -> tuple[dict[str, Any], dict[str, Any]]:
         """Begin the episode whose index is ``seed``; the next one without a seed."""
         super().reset(seed=seed)
-        # # LeRobot numbers its episodes by seeds.
+        # LeRobot numbers its episodes by seeds.
         self._index = self._index + 1 if seed is None else seed
         chosen = {"episode": np.array([self._index]), "reset_mask": np.ones(1, bool)}
-        # # The seed of the environment stays, so that indices name the episodes of `mjhab eval`.
+        # The seed of the environment stays, so that indices name the episodes of `mjhab eval`.
         obs, info = self._env.reset(seed=self._env.config.seed, options=chosen)
         self._success = False
         return self._converted(obs, info)
@@ -103,7 +103,7 @@ class LeRobotEnv(gymnasium.Env):
         if problem:
             raise UsageError(problem)
         obs, reward, terminated, truncated, info = self._env.step(self._reader.read(sent))
-        # # LeRobot looks at the last step only, and success may come before it.
+        # LeRobot looks at the last step only, and success may come before it.
         self._success |= bool(info["success"][0])
         seen, about = self._converted(obs, info)
         return seen, float(reward[0]), bool(terminated[0]), bool(truncated[0]), about

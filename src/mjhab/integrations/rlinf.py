@@ -77,18 +77,18 @@ class RLinfEnv(gymnasium.Env):
         self.num_group = num_envs // self.group_size
         self.total_num_group_envs = int(_entry(cfg, "num_starts", STARTS))
         options = dict(_entry(cfg, "init_params", {}))
-        # # Resets are made here, where groups of equal starts are known.
+        # Resets are made here, where groups of equal starts are known.
         self.env: Any = envs.make_train(
             **{"obs_mode": "rgb", **options}, num_envs=num_envs, autoreset="disabled"
         )
         self.num_envs = num_envs
-        # # RLinf moves what it gets to the device of the model itself.
+        # RLinf moves what it gets to the device of the model itself.
         self.device = torch.device("cpu")
         self.single_action_space = self.env.single_action_space
         self.action_space = self.env.action_space
         self.is_start = True
         self.info_logging_keys: list[str] = []
-        # # Bounded, as a training of days would fill the memory.
+        # Bounded, as a training of days would fill the memory.
         self.log: deque[dict[str, Any]] = deque(maxlen=LOGGED)
         self._generator = torch.Generator().manual_seed(self.seed)
         self._sentences: list[str] = [""] * num_envs
@@ -133,7 +133,7 @@ class RLinfEnv(gymnasium.Env):
         if starts is None:
             drawn = self.use_fixed_reset_state_ids or len(worlds) == self.num_envs
             starts = self.reset_state_ids[worlds] if drawn else self._drawn(len(worlds))
-        # # The environment takes episodes in the order of its worlds.
+        # The environment takes episodes in the order of its worlds.
         order = torch.argsort(worlds)
         starts = torch.as_tensor(starts)[order]
         mask = torch.zeros(self.num_envs, dtype=torch.bool)
@@ -184,7 +184,7 @@ class RLinfEnv(gymnasium.Env):
         """
         seen, rewards, ends, cuts, infos = zip(
             *(
-                # # A reset within a chunk would mix two episodes in one answer of the model.
+                # A reset within a chunk would mix two episodes in one answer of the model.
                 self.step(actions, auto_reset=False)
                 for actions in np.moveaxis(_numpy(chunk_actions), 1, 0)
             ),
@@ -224,7 +224,7 @@ class RLinfEnv(gymnasium.Env):
 
     def _metrics(self, infos: Mapping[str, Tensor]) -> dict[str, Tensor]:
         found = {
-            # # Clones: RLinf keeps the infos of many steps, and these are changed in place.
+            # Clones: RLinf keeps the infos of many steps, and these are changed in place.
             "success_once": self.success_once.clone(),
             "fail_once": self.fail_once.clone(),
             "return": self.returns.clone(),
@@ -272,6 +272,6 @@ def _entry(cfg: Any, name: str, default: Any) -> Any:
 
 def _numpy(actions: Any) -> np.ndarray:
     if isinstance(actions, Tensor):
-        # # numpy has no bfloat16, in which such models compute.
+        # numpy has no bfloat16, in which such models compute.
         actions = actions.detach().cpu().float().numpy()
     return np.asarray(actions, np.float32)

@@ -39,7 +39,7 @@ def to_rsl_rl(env: VectorEnv) -> Any:
     _require_own_resets(env)
     numpy = not env.metadata.get("tensors", False)
 
-    # # Defined here, because its base exists only where rsl_rl is installed.
+    # Defined here, because its base exists only where rsl_rl is installed.
     class RslRlWorlds(VecEnv):
         """The worlds of one mjhab environment."""
 
@@ -68,10 +68,10 @@ def to_rsl_rl(env: VectorEnv) -> Any:
             truncated = torch.as_tensor(truncated)
             done = terminated | truncated
             self.episode_length_buf = torch.where(done, 0, self.episode_length_buf + 1)
-            # # `info` of a world that ended is already that of its next episode.
+            # `info` of a world that ended is already that of its next episode.
             happened = torch.as_tensor(info.get("final_info", info)["success"]).float()
             extras = {
-                # # rsl_rl adds the value of what would have followed, which a terminated episode lacks.
+                # rsl_rl adds the value of what would have followed, which a terminated episode lacks.
                 "time_outs": truncated & ~terminated,
                 "log": {"/success": happened.mean()},
             }

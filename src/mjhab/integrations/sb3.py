@@ -118,7 +118,7 @@ class _Seen:
         if not self._output:
             return values
         if self._output == "depth":
-            # # Rounded, because a cast would cut off and darken every picture a little.
+            # Rounded, because a cast would cut off and darken every picture a little.
             values = np.rint(BYTE * normalize_depth(values)).astype(np.uint8)
         stacked = values.ndim == 5
         return _frames_as_channels(values) if stacked else values
@@ -155,11 +155,11 @@ class _Sb3Worlds:
 
     def reset(self) -> Any:
         seeds = [seed for seed in self._seeds if seed is not None]
-        # # stable-baselines3 leaves seeds empty after the first reset, and episodes then go on.
+        # stable-baselines3 leaves seeds empty after the first reset, and episodes then go on.
         chosen: Any = seeds if len(seeds) == self._env.num_envs else None
         obs, _ = self._env.reset(seed=chosen)
         base: Any = self
-        # # A seed given once is for one reset, as in stable-baselines3's own environments.
+        # A seed given once is for one reset, as in stable-baselines3's own environments.
         base._reset_seeds()
         base._reset_options()
         self._succeeded[:] = False
@@ -179,7 +179,7 @@ class _Sb3Worlds:
             last = self._shown(info["final_obs"])
             infos[world] = {
                 "terminal_observation": _row(last, world),
-                # # stable-baselines3 adds the value of what would have followed where this is set.
+                # stable-baselines3 adds the value of what would have followed where this is set.
                 "TimeLimit.truncated": bool(truncated[world] and not terminated[world]),
                 "is_success": bool(self._succeeded[world]),
             }

@@ -92,7 +92,7 @@ class _TorchrlWorlds:
     def _reset(self, tensordict: Any = None, **kwargs: Any) -> Any:
         options = {}
         if tensordict is not None and "_reset" in tensordict.keys():  # noqa: SIM118 (not a dict)
-            # # torchrl keeps a trailing dimension of 1 in flags.
+            # torchrl keeps a trailing dimension of 1 in flags.
             mask = tensordict["_reset"].reshape(self.batch_size)
             options["reset_mask"] = mask.cpu().numpy() if self._numpy else mask
         obs, info = self._env.reset(seed=self._start, options=options)
@@ -112,7 +112,7 @@ class _TorchrlWorlds:
         )
 
     def _set_seed(self, seed: int | None) -> None:
-        # # torchrl seeds before it resets, and a seed is for the next reset only.
+        # torchrl seeds before it resets, and a seed is for the next reset only.
         self._start = seed
 
     def _tensordict(self, entries: dict[str, torch.Tensor]) -> Any:

@@ -90,7 +90,7 @@ class MjhabBenchmark(StepBenchmark):
     def reset(self, task: dict[str, Any]) -> Any:
         """Begin an episode of the row of this name; ``task["episode_idx"]`` counts on over the seeds."""
         row = self._rows[task["name"]]
-        # # Making an environment takes seconds; episodes of one row share it.
+        # Making an environment takes seconds; episodes of one row share it.
         if row is not self._row:
             self._open(row)
         turn, index = divmod(int(task.get("episode_idx", 0)), row.episodes)

@@ -51,11 +51,11 @@ def render_data_report(
         raise nothing_passes()
     records = found.records
     subtasks = [subtask for record in records for subtask in record.subtasks]
-    # # A kind that this version does not know is refused here, and not halfway through the page.
+    # A kind that this version does not know is refused here, and not halfway through the page.
     for kind in dict.fromkeys(subtask.kind for subtask in subtasks):
         recorded_number(kind)
     plots = force_plots(subtasks)
-    # # By identity: shards of one run share the object, and comparing its options would be slow.
+    # By identity: shards of one run share the object, and comparing its options would be slow.
     runs = list({id(run): run for run in found.runs}.values())
     policies = list(dict.fromkeys(run.policy for run in runs))
     rules = "; ".join(dict.fromkeys(rules_of(run.config.get("env", {})) for run in runs))

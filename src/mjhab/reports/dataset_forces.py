@@ -66,7 +66,7 @@ def _histogram(
     finite = np.isfinite(forces)
     if not finite.all():
         title += f", {int((~finite).sum())} not finite"
-    # # No force at all has no logarithm.
+    # No force at all has no logarithm.
     values = np.log10(np.maximum(forces[finite], 1.0))
     good = np.array([member.success_once for member in members])[finite]
     largest = float(values.max(initial=0.0))
@@ -88,7 +88,7 @@ def _histogram(
                 "width": float(edges[1]) * 0.94,
                 "marker": {"color": _COLORS[name]},
                 "text": hover,
-                # # The text is for the pointer; on the bars it would be unreadable.
+                # The text is for the pointer; on the bars it would be unreadable.
                 "textposition": "none",
                 "hovertemplate": f"%{{y}} {name}<br>%{{text}}<extra></extra>",
             }

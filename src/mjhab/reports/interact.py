@@ -232,7 +232,7 @@ def _strip(pictures: Mapping[str, np.ndarray]) -> bytes:
         tiles += [rgb, np.repeat(grey[..., None], 3, axis=2)]
     strip = Image.fromarray(np.concatenate(tiles, axis=1))
     buffer = io.BytesIO()
-    # # Not smoothed: a reader shall see the pixels that policies get.
+    # Not smoothed: a reader shall see the pixels that policies get.
     strip.resize(
         (_SCALE * strip.width, _SCALE * strip.height), Image.Resampling.NEAREST
     ).save(buffer, "PNG")

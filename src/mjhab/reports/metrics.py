@@ -200,7 +200,7 @@ def _row(
         success_at_end=mean(subtask.success_at_end for subtask in ended),
         interval=wilson(once, len(ended)),
         steps_to_success=_median(
-            # # The environment did these at once; their time says nothing about the policy.
+            # The environment did these at once; their time says nothing about the policy.
             subtask.steps_to_success
             for subtask in ended
             if not subtask.teleported

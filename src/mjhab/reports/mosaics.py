@@ -66,7 +66,7 @@ def mosaic(members: Sequence[tuple[Path, str]], open_film: OpenFilm) -> Mosaic |
                     )
                 )
             film.close()
-        # # An interrupt, too, must not leave an encoder running.
+        # An interrupt, too, must not leave an encoder running.
         except BaseException:
             film.abort()
             raise
@@ -103,7 +103,7 @@ def _tile(episode: RecordedEpisode, camera: str, output: str, t: int) -> np.ndar
     side = min(image.shape[:2])
     top = (image.shape[0] - side) // 2
     left = (image.shape[1] - side) // 2
-    # # Cut to a square before scaling, so that nothing looks stretched.
+    # Cut to a square before scaling, so that nothing looks stretched.
     square = Image.fromarray(
         np.ascontiguousarray(image[top : top + side, left : left + side])
     )
@@ -123,5 +123,5 @@ def _grid(tiles: Sequence[np.ndarray]) -> np.ndarray:
 
 
 def _columns(tiles: int) -> int:
-    # # Three columns would leave four pictures with a hole of two.
+    # Three columns would leave four pictures with a hole of two.
     return 2 if tiles == 4 else min(tiles, math.isqrt(MOST))

@@ -85,7 +85,7 @@ def render_page(
     data = json.dumps(
         {"plots": drawn, "force": list(force)}, separators=(",", ":"), allow_nan=False
     )
-    # # "</script>" in a text would end the script that holds the data.
+    # "</script>" in a text would end the script that holds the data.
     figures = _as_is(data.replace("</", "<\\/"))
     return (
         _environment()
@@ -104,10 +104,10 @@ def _environment() -> Environment:
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
     environment = Environment(
-        # # From the root: pages of all packages extend one base.
+        # From the root: pages of all packages extend one base.
         loader=PackageLoader("mjhab", "."),
         autoescape=True,
-        # # A name that a page lacks is an error, and no empty cell.
+        # A name that a page lacks is an error, and no empty cell.
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,

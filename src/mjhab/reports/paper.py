@@ -81,7 +81,7 @@ def _rows() -> dict[tuple[str, str, str, str, str], PaperRow]:
         names = published.columns if published else ()
         labels = {
             name: float(row[column])
-            # # Kinds have fewer labels than the table has columns.
+            # Kinds have fewer labels than the table has columns.
             for name, column in zip(names, _COLUMNS, strict=False)
         }
         key = (row["task"], row["subtask"], row["split"], row["target"], row["policy"])
@@ -118,7 +118,7 @@ def paper_success(task: str, subtask: str, split: str, target: str) -> dict[str,
     wanted = (task, subtask, split, articulation)
     for row in _lines("paper_success.csv"):
         if (row["task"], row["subtask"], row["split"], row["articulation"]) == wanted:
-            # # Some policies were not trained for all tasks: their cells are empty.
+            # Some policies were not trained for all tasks: their cells are empty.
             return {name: float(row[name]) for name in SUCCESS_COLUMNS if row[name]}
     return {}
 
@@ -126,6 +126,6 @@ def paper_success(task: str, subtask: str, split: str, target: str) -> dict[str,
 def _paper_target(target: str) -> str:
     furniture, _, link = kind_of(target).rpartition("/")
     if furniture:
-        # # The paper tells drawers of the counter from the fridge, but not from one another.
+        # The paper tells drawers of the counter from the fridge, but not from one another.
         return "drawer" if "drawer" in link else furniture
     return target.partition("_")[0]

@@ -212,7 +212,7 @@ def force_figure(record: EpisodeRecord) -> Figure:
         top = {
             "y": _with_gaps(force[start:end]),
             "name": kind,
-            # # A kind that comes twice in a chain needs one entry in the legend.
+            # A kind that comes twice in a chain needs one entry in the legend.
             "showlegend": kind not in drawn,
             **fill,
         }

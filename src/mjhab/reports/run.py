@@ -55,7 +55,7 @@ def render_report(
         film_problem: why films are missing, shown in the report.
         alone: rates for the upper bound, see ``metrics.progress_curves``.
     """
-    # # Records come in the order in which worlds finished.
+    # Records come in the order in which worlds finished.
     records = sorted(records, key=lambda record: record.index)
     paths = {r.index: film_path(r.index) for r in records} if film_path else {}
     filmed = [r for r in records if r.index in paths and paths[r.index].is_file()]
@@ -193,9 +193,9 @@ def shown_episode(
     return {
         "record": record,
         "title": ": ".join(filter(None, (run, f"Episode {record.index}"))),
-        # # On a page of several runs the same index comes several times.
+        # On a page of several runs the same index comes several times.
         "key": f"{run}{record.index}",
-        # # Within the page, which is then one file to send or keep.
+        # Within the page, which is then one file to send or keep.
         "film": base64_text(film.read_bytes()) if film and film.is_file() else "",
         "outcome": outcome,
         "spans": [_span(subtask, steps) for subtask in record.subtasks],

@@ -20,8 +20,8 @@ from typing import Any
 
 from mjhab.core.arithmetic.sums import ordered_sum
 from mjhab.core.errors import MjhabError, UsageError, fault
+from mjhab.core.files.cache import write_text
 from mjhab.core.files.reading import read_json_object
-from mjhab.core.files.run_folder import write_text
 from mjhab.core.machine import cores
 from mjhab.core.progress import say
 from mjhab.core.version import __version__
@@ -162,7 +162,7 @@ def _digests(runs: Sequence[Path]) -> set[str]:
     ]
     if len(runs) == 1:
         return set(files[0])
-    # # The evaluation hashed the hashes of its members, of which each run has several checkpoints.
+    # The evaluation hashed the hashes of its members, of which each run has several checkpoints.
     together = ("".join(chosen) for chosen in itertools.product(*files))
     return {hashlib.sha256(text.encode()).hexdigest() for text in together}
 
@@ -220,7 +220,7 @@ def training(run: Path) -> dict[str, Any]:
 def write_rows(path: Path, rows: Sequence[dict[str, Any]]) -> None:
     """Write rows to the file; rows of the same students are replaced."""
     table = {
-        # # Later entries of a dict win: new rows replace those of the file.
+        # Later entries of a dict win: new rows replace those of the file.
         tuple(({"views": WHOLE} | row)[name] for name in IDENTITY): row
         for row in [*read_rows(path), *rows]
     }

@@ -10,7 +10,7 @@ import numpy as np
 
 from mjhab.core.errors import about, fault
 from mjhab.core.files.arrays import open_arrays
-from mjhab.core.files.cache import write_atomic
+from mjhab.core.files.cache import write_atomic, write_text
 from mjhab.core.files.reading import read_json_object
 from mjhab.core.typed.options import read_record
 from mjhab.scenes.pack_check import check_pack
@@ -48,16 +48,13 @@ def save_pack(pack: Pack, folder: Path) -> None:
         "stage": pack.stage,
     }
     text = json.dumps(body)
-    folder.mkdir(parents=True, exist_ok=True)
     # That of a pack before would not fit the new meshes.
     (folder / _JSON).unlink(missing_ok=True)
     write_atomic(
         folder / _MESHES,
         lambda temporary: np.savez_compressed(temporary, **arrays),  # type: ignore[arg-type]
     )
-    write_atomic(
-        folder / _JSON, lambda temporary: temporary.write_text(text, encoding="utf-8")
-    )
+    write_text(folder / _JSON, text)
 
 
 def load_pack(folder: Path) -> Pack:

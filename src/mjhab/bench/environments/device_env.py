@@ -57,7 +57,7 @@ def measure_device_env(spec: EnvBenchSpec, worlds: int) -> dict[str, Any]:
     with MemorySampler(resident_mb, lambda: used_mb(env)) as memory:
         whole = _rate(block, spec, worlds, wait)
     stages, reset_ms = profile(env, actions, wait)
-    # # After the profile, so that the bare engine gets commands of a moving robot.
+    # After the profile, so that the bare engine gets commands of a moving robot.
     commands = env.sim.engine.ctrl_t.clone()
     bare = _rate(engine, spec, worlds, wait)
     return {
@@ -81,7 +81,7 @@ def _make(spec: EnvBenchSpec, worlds: int) -> tuple[DeviceEnv, Callable[[], None
     from mjhab.envs import make_by_id
     from mjhab.sim.warp.probe import synchronize
 
-    # # Threads are of the host, and the backend is given here.
+    # Threads are of the host, and the backend is given here.
     apart = ("backend", "threads")
     options = {name: value for name, value in spec.env.items() if name not in apart}
     env = make_by_id(spec.id, backend="warp", num_envs=worlds, **options)

@@ -58,7 +58,7 @@ def measure_env(spec: EnvBenchSpec, worlds: int) -> dict[str, Any]:
     begun = time.perf_counter()
     from mjhab.envs import make_by_id
 
-    # # Here the backend is settled: "auto" would look for a GPU again.
+    # Here the backend is settled: "auto" would look for a GPU again.
     options = {**spec.env, "backend": "cpu", "device": ""}
     seed = spec.asked.seed
     env = make_by_id(spec.id, num_envs=worlds, autoreset="disabled", **options)
@@ -68,7 +68,7 @@ def measure_env(spec: EnvBenchSpec, worlds: int) -> dict[str, Any]:
     cold = time.perf_counter() - begun
     sps = measure_sps(env, spec.steps, spec.rounds, seed)
     stages, reset_ms = profile(env, actions)
-    # # Before the second simulator, which takes memory of its own.
+    # Before the second simulator, which takes memory of its own.
     full = resident_mb()
     return {
         "env_sps": sps["env_sps"],

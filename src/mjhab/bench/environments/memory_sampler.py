@@ -40,12 +40,12 @@ class MemorySampler:
 
     def __exit__(self, *exception: object) -> None:
         self._stop.set()
-        # # Joined before the last sample, so that no two threads write the peaks.
+        # Joined before the last sample, so that no two threads write the peaks.
         self._thread.join()
         self._sample()
 
     def _run(self) -> None:
-        # # A wait on the event and no sleep: leaving must not take another interval.
+        # A wait on the event and no sleep: leaving must not take another interval.
         while not self._stop.wait(self._interval):
             self._sample()
 

@@ -43,7 +43,7 @@ def measure_sps(
         actions = sway(worlds, steps, seed + number, width)
         episodes = np.arange(number * worlds, (number + 1) * worlds)
 
-        # # A default binds the episodes of this round.
+        # A default binds the episodes of this round.
         def begin(episodes: np.ndarray = episodes) -> float:
             """Start the episodes; seconds that the reset takes."""
             options = {"episode": episodes, "reset_mask": np.ones(worlds, bool)}
@@ -59,7 +59,7 @@ def measure_sps(
         for action in actions:
             env.step(action)
             commands.append(env.ctrl)
-        # # In turns, because the second of a pair finds warmer caches and a hotter processor.
+        # In turns, because the second of a pair finds warmer caches and a hotter processor.
         for name in ("engine", "env") if number % 2 else ("env", "engine"):
             times["reset"].append(begin())
             call, inputs = (

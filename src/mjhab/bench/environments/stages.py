@@ -35,7 +35,7 @@ def stage_seconds(
 ) -> tuple[dict[str, float], float]:
     """Stop a watch: seconds of each of STEP_STAGES, of ``total`` [s], and the time of a world's one reset [ms]."""
     seconds = watch.stop()
-    # # What no stage counts, such as the bookkeeping of the loop itself.
+    # What no stage counts, such as the bookkeeping of the loop itself.
     seconds["other"] = total - ordered_sum(seconds.values())
     reset_ms = 1000 * seconds.get("reset", 0.0) / num_envs
     return {stage: round(seconds.get(stage, 0.0), 5) for stage in STEP_STAGES}, round(
@@ -67,7 +67,7 @@ class Stopwatch:
                 return original(*args, **kwargs)
             finally:
                 self._wait()
-                # # After the wait, so that the work of a device counts for the method that asked for it.
+                # After the wait, so that the work of a device counts for the method that asked for it.
                 spent = time.perf_counter() - begun
                 own = spent - self._inner.pop()
                 self._seconds[stage] = self._seconds.get(stage, 0.0) + own
@@ -80,6 +80,6 @@ class Stopwatch:
     def stop(self) -> dict[str, float]:
         """Give the methods back; returns seconds per stage."""
         for owner, method in self._wrapped:
-            # # The counted method is an attribute of the instance; below it lies that of the class.
+            # The counted method is an attribute of the instance; below it lies that of the class.
             delattr(owner, method)
         return dict(self._seconds)

@@ -252,7 +252,7 @@ def _paper_figure(results: Sequence[RowResult]) -> Figure:
     packs = dict.fromkeys(result.pack for result in results)
     data = [
         _pack_bars(results, pack, color)
-        # # Colours over and over, as there may be more packs than colours.
+        # Colours over and over, as there may be more packs than colours.
         for pack, color in zip(packs, _COLORS * len(results), strict=False)
     ]
     return {

@@ -25,7 +25,8 @@ from mjhab.bench.experts.rows import (
 )
 from mjhab.bench.specs import ExpertsSpec
 from mjhab.core.errors import MjhabError
-from mjhab.core.files.run_folder import REPORT, RunFolder, write_text
+from mjhab.core.files.cache import write_text
+from mjhab.core.files.run_folder import REPORT, RunFolder
 from mjhab.core.machine import cores
 from mjhab.data.record.job import Standing
 from mjhab.data.record.provenance import source_commit, versions
@@ -97,7 +98,7 @@ def _measure(
                 break
             try:
                 measure_row(spec, row, lambda now, row=row: tell(row, now.tried), stopped)
-            # # A full disk would fail every other row, too.
+            # A full disk would fail every other row, too.
             except StorageError:
                 raise
             except MjhabError as error:
@@ -135,10 +136,10 @@ def measure_row(
         navigate=row.navigate or "teleport",
         env=spec.of_profile,
         episodes=row.episodes,
-        # # States are most of the bytes, and the table needs none of them.
+        # States are most of the bytes, and the table needs none of them.
         states=False,
         worlds=spec.asked.num_envs,
-        # # A worker with fewer episodes than worlds would run worlds for nothing.
+        # A worker with fewer episodes than worlds would run worlds for nothing.
         workers=max(1, min(spec.workers, row.episodes // spec.asked.num_envs)),
         resume=True,
     )

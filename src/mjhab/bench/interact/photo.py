@@ -19,7 +19,7 @@ from mjhab.bench.interact.scene import (
 )
 from mjhab.bench.specs import PhotoSpec
 from mjhab.core.arithmetic.sums import ordered_sum
-from mjhab.core.files.cache import write_atomic
+from mjhab.core.files.cache import write_text
 from mjhab.core.machine import resident_mb
 from mjhab.core.progress import progress_bar
 from mjhab.core.seeding import stream
@@ -98,7 +98,7 @@ def measure_photo(
         for samples in spec.samples:
             bench = PhotoBench(scene, spec.shading(samples))
             camera = bench.camera
-            # # Actions of run 0, which is not measured: kernels are compiled in these steps.
+            # Actions of run 0, which is not measured: kernels are compiled in these steps.
             for action in random_actions(scene, spec.asked.seed, 0, WARM_STEPS):
                 bench.step(action)
             runs = []
@@ -108,7 +108,7 @@ def measure_photo(
                 runs.append(measured)
                 advance()
             point = summarize(runs)
-            # # One world on the processor: both would say the same in every point.
+            # One world on the processor: both would say the same in every point.
             del point["worlds"], point["device_mb"]
             busy = ordered_sum(run["cpu_s"] for run in runs) / (spec.runs * spec.steps)
             cpu_ms = round(1000.0 * busy, 1)
@@ -135,7 +135,7 @@ def measure_run(
     with MemorySampler(resident_mb, lambda: None) as memory:
         before = time.perf_counter()
         bench.reset()
-        # # Time of the process counts all cores, on which the path tracer spreads.
+        # Time of the process counts all cores, on which the path tracer spreads.
         begun, busy = time.perf_counter(), time.process_time()
         for action in actions:
             images = bench.step(action)
@@ -157,7 +157,5 @@ def write_results(
     """Write photo.json and report.html into a folder."""
     text = json.dumps(found, indent=1) + "\n"
     page = photo_page(found, pictures)
-    write_atomic(out / "photo.json", lambda path: path.write_text(text, encoding="utf-8"))
-    write_atomic(
-        out / "report.html", lambda path: path.write_text(page, encoding="utf-8")
-    )
+    write_text(out / "photo.json", text)
+    write_text(out / "report.html", page)

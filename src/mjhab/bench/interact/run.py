@@ -25,7 +25,7 @@ from mjhab.bench.interact.scene import (
 from mjhab.bench.specs import InteractSpec
 from mjhab.core.arrays import to_numpy
 from mjhab.core.errors import wrong_value
-from mjhab.core.files.cache import write_atomic
+from mjhab.core.files.cache import write_atomic, write_text
 from mjhab.core.machine import resident_mb
 from mjhab.core.progress import progress_bar
 from mjhab.envs.parts.memory import WorldPictures, check_device_memory
@@ -185,7 +185,7 @@ def affine_commands(actions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         return controller.command(action[None], robot_q)[0]
 
     zero = np.zeros((1, len(controller.robot.joints)))
-    # # Computed before the clock runs, as the original replays commands, too.
+    # Computed before the clock runs, as the original replays commands, too.
     offset = np.stack([command(action, zero) for action in actions])
     return offset, command(actions[0], zero + 1.0) - offset[0]
 
@@ -305,7 +305,7 @@ def stage_times(
         bench.sync()
         spent["physics"] += moved - begun
         spent["render"] += time.perf_counter() - moved
-    # # Copies, as the memory of the pictures goes with the bench.
+    # Copies, as the memory of the pictures goes with the bench.
     views = {name: to_numpy(image[0]).copy() for name, image in images.items()}
     times: dict[str, float | None] = {
         f"{stage}_ms": round(1e3 * total / steps, 2) for stage, total in spent.items()
@@ -341,7 +341,7 @@ def write_results(
     """Write interact.json, interact.csv (a row per run) and report.html into a folder."""
 
     def table(path: Path) -> None:
-        # # csv ends lines itself.
+        # csv ends lines itself.
         with path.open("w", newline="", encoding="utf-8") as file:
             writer = csv.DictWriter(file, list(COLUMNS))
             writer.writeheader()
@@ -349,10 +349,6 @@ def write_results(
 
     text = json.dumps(found, indent=1) + "\n"
     page = interact_page(found, pictures)
-    write_atomic(
-        out / "interact.json", lambda path: path.write_text(text, encoding="utf-8")
-    )
+    write_text(out / "interact.json", text)
     write_atomic(out / "interact.csv", table)
-    write_atomic(
-        out / "report.html", lambda path: path.write_text(page, encoding="utf-8")
-    )
+    write_text(out / "report.html", page)

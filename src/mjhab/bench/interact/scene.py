@@ -146,7 +146,7 @@ def _places(
             if p.template == surface.template and _near(p.pos, surface.pos)
         ]
         stripped = dataclasses.replace(home, props=tuple(own))
-        # # Of the home without its other furniture, as it will be simulated.
+        # Of the home without its other furniture, as it will be simulated.
         floor = free_map(stripped, pack)
         for base in _bases(surface):
             if floor.clearance_at(base[BASE_XY]) >= NAVMESH_BASE_RADIUS_M:
@@ -189,10 +189,10 @@ def _arrange(pack: Pack, surface: PlacedReceptacle, base: np.ndarray) -> Interac
             y + ahead * np.sin(yaw) + left * np.cos(yaw),
             # The original drops them from 1 cm; here they start at rest.
             surface.pos[2] + layout.objects[slot].half[2] + 0.002,
-            # # Turned with the arc, so that every object shows the arm the same side.
+            # Turned with the arc, so that every object shows the arm the same side.
             *yaw_quat(yaw + angle),
         ]
-    # # Before the robot is put there, so that the objects settle without it.
+    # Before the robot is put there, so that the objects settle without it.
     qpos = settle(model, a, qpos)[0]
     robot = np.array(START_QPOS)
     robot[BASE] = base

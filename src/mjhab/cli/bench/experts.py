@@ -29,7 +29,7 @@ def bench_experts(spec: ExpertsSpec, json: bool) -> int:
     with stop_signals() as is_stopped:
         found = measure_experts(spec, is_stopped, _progress)
     _tell(spec, found, time.perf_counter() - begun, json)
-    # # A row that failed is an error even where the run was stopped later.
+    # A row that failed is an error even where the run was stopped later.
     return 1 if found.errors else INTERRUPTED if found.left else 0
 
 
@@ -59,7 +59,7 @@ def _progress(measured: Measured) -> Iterator[Callable[[ExpertRow, int], None]]:
             hours = (time.perf_counter() - begun) / 3600
             gained = _weight(done) - first
             what = ""
-            # # Rows that an earlier run measured say nothing about the speed of this one.
+            # Rows that an earlier run measured say nothing about the speed of this one.
             if gained > 0:
                 left = round((whole - first - gained) * hours / gained * 60)
                 what = f"{gained / hours:,.0f}/h, {left // 60} h {left % 60:02d} min left"

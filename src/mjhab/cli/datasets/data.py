@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from mjhab.cli.output import Listing, report
-from mjhab.core.files.cache import write_atomic
+from mjhab.core.files.cache import write_text
 from mjhab.core.progress import late_bar, progress_bar
 from mjhab.data.imports.ms_hab import ABSENT, import_ms_hab
 from mjhab.data.select import sets
@@ -135,7 +135,7 @@ def write_report(spec: ReportSpec, json: bool) -> int:
     with late_bar("films") as begin:
         page = render_data_report(spec.places, FilmWriter, spec.filter(), begin)
     try:
-        write_atomic(spec.out, lambda path: path.write_text(page, encoding="utf-8"))
+        write_text(spec.out, page)
     except OSError as error:
         raise broken(spec.out, error) from error
     size = spec.out.stat().st_size
@@ -241,7 +241,7 @@ def check(spec: ShardCheckSpec, json: bool) -> int:
         else "",
         f"{found.episodes} episodes, {found.ok} ok, {len(damaged)} damaged, {len(unreadable)} shards unreadable",
     )
-    # # Scripts stop at damage; what a writer left unfinished completes itself.
+    # Scripts stop at damage; what a writer left unfinished completes itself.
     return 0 if found.clean else 1
 
 

@@ -27,7 +27,7 @@ def run_generate(spec: GenerateSpec, json: bool) -> int:
         spec = dataclasses.replace(spec, workers=1)
     with stop_signals() as is_stopped, _progress(spec) as tell:
         made = run_generation(spec, tell, is_stopped)
-    # # A signal after the last episode has left nothing to continue.
+    # A signal after the last episode has left nothing to continue.
     interrupted = is_stopped() and not made.standing.complete
     _tell(json, made, interrupted)
     if interrupted:
@@ -43,7 +43,7 @@ def _progress(spec: GenerateSpec) -> Iterator[Callable[[Standing], None]]:
         task = bar.add_task(name, total=spec.per_target or spec.max_tries, note="")
 
         def tell(now: Standing) -> None:
-            # # Without a quota the number of tries is all that is known to end the work.
+            # Without a quota the number of tries is all that is known to end the work.
             done = now.kept if now.wanted else now.tried
             total = now.wanted or spec.max_tries
             rate = now.written / (time.perf_counter() - begun) * 3600

@@ -47,7 +47,7 @@ def _pull(spec: PullSpec, kind: str, json: bool) -> int:
         with sigterm_interrupts():
             done = pull(spec, kind)
     except KeyboardInterrupt:
-        # # Pulling goes on by itself, so no --resume is named.
+        # Pulling goes on by itself, so no --resume is named.
         return stopped(f"finished files are kept in {spec.out}", again="")
     facts = {"path": str(done.path), "commit": done.commit, "files": done.files}
     report(json, facts, f"{done.files} files of commit {done.commit[:8]}: {done.path}")

@@ -29,9 +29,9 @@ def run_make(spec: DatasetSpec, json: bool) -> int:
         spec = dataclasses.replace(spec, workers=1)
     with stop_signals() as is_stopped, _progress(spec) as tell:
         made = run_making(spec, tell, is_stopped)
-    # # The card is written at the very end, so without it the work was stopped.
+    # The card is written at the very end, so without it the work was stopped.
     if not made.about:
-        # # Making goes on by itself, so no --resume is named.
+        # Making goes on by itself, so no --resume is named.
         return stopped(f"finished episodes are kept in {made.path}", again="")
     for name, (kept, tried) in made.short.items():
         say(

@@ -20,7 +20,7 @@ def run_config(parsed: Parsed) -> int:
     """
     spec = parsed.spec
     options = {name: _plain(value) for name, value in _fields_of(spec).items()}
-    # # The given options alone would hide what the profile decides.
+    # The given options alone would hide what the profile decides.
     if isinstance(spec, EnvSpec):
         options["env"] = _plain(_fields_of(spec.asked))
     print_json({"command": parsed.command.name, "options": options})

@@ -38,7 +38,7 @@ def run_doctor(spec: DoctorSpec, json: bool) -> int:
     """Print the findings; returns 1 if MuJoCo is missing or does not have the version that the benchmark requires."""
     found = diagnose()
     report(json, found, *_tables(found))
-    # # Another version of MuJoCo steps to other states, so that results would not compare.
+    # Another version of MuJoCo steps to other states, so that results would not compare.
     return 0 if found["mujoco"] == PINNED_MUJOCO else 1
 
 
@@ -81,7 +81,7 @@ def _tables(found: dict[str, Any]) -> list[Listing]:
     ]
     extras = []
     for name, modules in EXTRAS.items():
-        # # Found and not imported: some of these take seconds, or start a runtime.
+        # Found and not imported: some of these take seconds, or start a runtime.
         here = all(importlib.util.find_spec(module) for module in modules)
         extras.append(
             (name, ", ".join(modules), "yes" if here else f"no: {install_extra(name)}")

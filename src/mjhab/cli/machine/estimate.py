@@ -39,7 +39,7 @@ def run_estimate(spec: EstimateSpec, json: bool) -> int:
     worlds = spec.asked.num_envs
     obs = spec.asked.obs_mode
     height, width = image_size(spec.asked.camera_size)
-    # # The estimate knows square pictures; one of the same number of pixels takes as much.
+    # The estimate knows square pictures; one of the same number of pixels takes as much.
     found = world_memory(obs, round((height * width) ** 0.5))
     rows = [memory.row(worlds) for memory in found]
     table = Listing(
@@ -49,7 +49,7 @@ def run_estimate(spec: EstimateSpec, json: bool) -> int:
     )
     report(json, {"num_envs": worlds, "obs": obs, "backends": rows}, table)
     known = [memory for memory in found if memory.most is not None]
-    # # An error after the table, so that scripts notice and people see the numbers.
+    # An error after the table, so that scripts notice and people see the numbers.
     if known and not any(memory.most >= worlds for memory in known):  # type: ignore[operator]
         needs = "; ".join(
             f"backend {memory.backend} needs {memory.need.total_mb(worlds):,.0f} MB, "

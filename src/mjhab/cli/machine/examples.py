@@ -15,7 +15,7 @@ from mjhab.core.typed.bounds import Output
 from mjhab.core.typed.flags import Flag
 from mjhab.core.typed.options import take_options
 
-# # By path and not as a package: importing an example would register what it adds.
+# By path and not as a package: importing an example would register what it adds.
 SOURCE = Path(__file__).parents[2] / "examples"
 """The examples in the package; their files are data, nothing imports them."""
 
@@ -123,7 +123,7 @@ def copy_examples(folder: Path) -> int:
     changed = [
         str(p) for f, p in places.items() if p.exists() and not filecmp.cmp(f, p, False)
     ]
-    # # Before anything is written: a half-copied folder would mix two versions.
+    # Before anything is written: a half-copied folder would mix two versions.
     if changed:
         raise fault(
             folder,
@@ -146,11 +146,11 @@ def _copy(file: Path, place: Path) -> None:
         content = file.read_bytes()
         write_atomic(place, lambda temporary: temporary.write_bytes(content))
     except OSError as error:
-        # # The error names the temporary file, which a user has never seen.
+        # The error names the temporary file, which a user has never seen.
         raise OSError(error.errno, error.strerror, str(place)) from error
 
 
 def _files() -> list[Path]:
     paths = sorted(SOURCE.rglob("*"))
-    # # A run of an example leaves compiled files beside it.
+    # A run of an example leaves compiled files beside it.
     return [path for path in paths if path.is_file() and "__pycache__" not in path.parts]

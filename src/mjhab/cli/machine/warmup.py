@@ -69,7 +69,7 @@ def warmup(spec: WarmupSpec, backend: str) -> dict[str, float]:
         "planning of the experts": work.compile_experts,
     }
     if work.config.spawn_rule == "published":
-        # # Only published starts begin with an object in the hand.
+        # Only published starts begin with an object in the hand.
         parts["arms that hold objects"] = work.find_holding_arms
     if backend == "warp":
         parts["MuJoCo Warp (minutes the first time)"] = work.compile_warp
@@ -113,7 +113,7 @@ class _Work:
 
         first = self.layout.pack.homes[0].name
         renderer = HomeRenderer(self.simulator, 1)
-        # # The size does not matter: kernels are compiled for types, not for sizes.
+        # The size does not matter: kernels are compiled for types, not for sizes.
         renderer.robot_views(self.simulator.state(), [first], 16, DRAWN_OUTPUTS)
 
     def compile_experts(self) -> None:
@@ -146,7 +146,7 @@ class _Work:
         }
         env = make_train(**options)
         env.reset()
-        # # Kernels of the step are compiled when it is first taken.
+        # Kernels of the step are compiled when it is first taken.
         env.step(env.sim.qpos.new_zeros(env.action_space.shape))
 
 

@@ -74,7 +74,7 @@ def run_demo(spec: DemoSpec, json: bool) -> int:
         overwrite=True,
     )
     code = run_eval(evaluation, json)
-    # # Machines read one line of JSON, which was printed.
+    # Machines read one line of JSON, which was printed.
     if code == 0 and not json:
         page = (spec.out / REPORT).resolve()
         print(f"Open in a browser (no network needed): {page}")
@@ -105,7 +105,7 @@ class ProgressSink(Sink[RolloutEnv]):
         self._started = time.perf_counter()
         self._bar.start()
         self._bar.start_task(self._task)
-        # # The rate counts from here, so what was there before must not enter it.
+        # The rate counts from here, so what was there before must not enter it.
         self._bar.update(self._task, completed=self._total - len(episodes))
 
     def close(self) -> None:
@@ -116,7 +116,7 @@ class ProgressSink(Sink[RolloutEnv]):
         """Count control steps and update the rate."""
         self._steps += int(step.active.sum())
         now = time.perf_counter()
-        # # Drawing in every step would slow down short steps.
+        # Drawing in every step would slow down short steps.
         if now - self._shown > self.REFRESH:
             self._shown = now
             self._bar.update(
@@ -189,7 +189,7 @@ def _tell(spec: EvalSpec, run: Run, interrupted: bool, json: bool) -> None:
 def _result_line(summary: Mapping[str, Any]) -> str:
     episodes = summary["episodes"]
     if episodes and summary["errors"] == episodes:
-        # # A rate of 0 % would say that the policy tried and failed.
+        # A rate of 0 % would say that the policy tried and failed.
         return f"{episodes} episodes, none of them finished: there is no success rate of this policy"
     return (
         f"{episodes} episodes: success once {100 * summary['success_once']:.1f} %, at end "
@@ -206,7 +206,7 @@ def _cells(row: SubtaskRow) -> tuple[object, ...]:
     )
     if not row.reached:
         return (*head, *["-"] * 6)
-    # # What the environment did itself is no success of the policy.
+    # What the environment did itself is no success of the policy.
     if not row.judged:
         return (*head, NOT_JUDGED, *["-"] * 5)
     low, high = row.interval

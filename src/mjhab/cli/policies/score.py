@@ -11,7 +11,7 @@ from mjhab.cli.exits import stopped
 from mjhab.cli.output import Listing, print_json, report, tell_caution
 from mjhab.cli.policies.evaluate import ProgressSink
 from mjhab.core.errors import fault
-from mjhab.core.files.cache import write_atomic
+from mjhab.core.files.cache import write_text
 from mjhab.core.files.interrupts import sigterm_interrupts
 from mjhab.core.progress import progress_bar, say
 from mjhab.evaluation.evaluate import EvaluationInterrupted
@@ -142,7 +142,7 @@ def run_check(spec: CheckSpec, json: bool) -> int:
         f"{found.episodes} episodes replayed: {exact} exact, {len(found.inexact)} with the same outcome but other "
         f"states (another machine or version?), {len(found.wrong)} with another outcome. Chosen with seed "
         f"{found.seed}.",
-        # # With --json the one line on stdout belongs to machines.
+        # With --json the one line on stdout belongs to machines.
         file=sys.stderr if json else sys.stdout,
     )
     if json:
@@ -162,7 +162,7 @@ def run_table(spec: LeaderboardSpec, json: bool) -> int:
     results = [read_for_table(path) for path in spec.files]
     places: dict[str, Path] = {}
     for path, result in zip(spec.files, results, strict=True):
-        # # Twice the same result would look like two submissions.
+        # Twice the same result would look like two submissions.
         first = places.setdefault(result.digest, path)
         if first != path:
             raise fault(first, f"the same result as {path}; give one of them.")
@@ -171,8 +171,7 @@ def run_table(spec: LeaderboardSpec, json: bool) -> int:
     if page is None:
         print(text)
     else:
-        page.parent.mkdir(parents=True, exist_ok=True)
-        write_atomic(page, lambda temporary: temporary.write_text(text, encoding="utf-8"))
+        write_text(page, text)
         print(f"page: {page}")
     if json:
         print_json({"results": [_facts(result) for result in results]})

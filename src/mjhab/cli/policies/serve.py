@@ -31,7 +31,7 @@ def run_serve(spec: ServeSpec, json: bool) -> int:
     policy = full_spec(spec.policy, asked.task, asked.subtask, asked.target)
     responder = TwinResponder(policy, PolicyOptions(asked.seed, spec.style), asked.assets)
     token = os.environ.get(TOKEN_VARIABLE, "")
-    # # Who serves beyond this machine without a token would let anybody use it.
+    # Who serves beyond this machine without a token would let anybody use it.
     made_up = not token and spec.host not in LOCAL_HOSTS
     if made_up:
         token = secrets.token_urlsafe(24)
@@ -39,7 +39,7 @@ def run_serve(spec: ServeSpec, json: bool) -> int:
     server = PolicyServer(
         responder, dialect, ServerOptions(spec.host, spec.port, token, limit)
     )
-    # # First and alone on its line: scripts that ask for port 0 read it from there.
+    # First and alone on its line: scripts that ask for port 0 read it from there.
     print(server.port, flush=True)
     if spec.port not in (0, server.port):
         _tell(f"port {spec.port} is in use; listening on {server.port} instead.")
@@ -59,16 +59,16 @@ def _run(server: PolicyServer) -> None:
     """Serve until SIGINT or SIGTERM."""
     ended = threading.Event()
     signals = (signal.SIGINT, signal.SIGTERM)
-    # # A handler and no KeyboardInterrupt, which could end a request halfway through.
+    # A handler and no KeyboardInterrupt, which could end a request halfway through.
     before = [signal.signal(number, lambda *_: ended.set()) for number in signals]
-    # # Signals reach the main thread alone, so that one waits and another serves.
+    # Signals reach the main thread alone, so that one waits and another serves.
     thread = threading.Thread(target=server.run, daemon=True)
     thread.start()
     try:
         ended.wait()
     finally:
         for number, handler in zip(signals, before, strict=True):
-            # # Tests serve several times in one process.
+            # Tests serve several times in one process.
             signal.signal(number, handler)
         server.shutdown()
 

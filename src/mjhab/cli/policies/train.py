@@ -33,7 +33,7 @@ def run_train(spec: ImitationSpec | ReinforcementSpec, json: bool) -> int:
     _tell(spec, result, json)
     if result.interrupted:
         return INTERRUPTED
-    # # A checkpoint without an update, or of too few demonstrations, must not pass for a result.
+    # A checkpoint without an update, or of too few demonstrations, must not pass for a result.
     return 0 if result.summary["trained"] and "shortage" not in result.summary else 1
 
 

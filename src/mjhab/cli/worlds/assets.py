@@ -135,7 +135,7 @@ def _agree(source: Source, accepted: bool) -> None:
     if accepted:
         return
     if not sys.stdin.isatty():
-        # # Nobody can answer: a script must say so itself.
+        # Nobody can answer: a script must say so itself.
         raise UsageError(
             f"{source.name} has its own licence (above); add --accept-licence to accept it."
         )

@@ -120,7 +120,7 @@ def _plain(value: Any) -> Any:
     if isinstance(value, tuple):
         return [_plain(v) for v in value]
     if isinstance(value, float) and abs(value) == float("inf"):
-        # # JSON has no infinity, which bounds of observations are full of.
+        # JSON has no infinity, which bounds of observations are full of.
         return str(value)
     return (
         value if isinstance(value, int | float | str | list | bool | None) else str(value)

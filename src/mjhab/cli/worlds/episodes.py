@@ -69,7 +69,7 @@ class EpisodesMakeSpec(EnvSpec):
             raise wrong_value(
                 "out", str(self.out), "a name that ends with .json or .json.gz"
             )
-        # # Asked for here, so that a wrong option is told before any work.
+        # Asked for here, so that a wrong option is told before any work.
         _ = self.asked
 
 
@@ -135,7 +135,7 @@ def check(spec: EpisodesCheckSpec, json: bool) -> int:
     from mjhab.episodes.hab.format import read_hab
 
     file = read_hab(spec.file)
-    # # Before the episodes are loaded, which takes longer and fails in stranger ways if they were changed.
+    # Before the episodes are loaded, which takes longer and fails in stranger ways if they were changed.
     check_manifest(file)
     episodes = _load(spec, file)
     total = Counter[str]()

@@ -97,7 +97,7 @@ def roster_of(pack: Any) -> tuple[str, ...]:
     from mjhab.episodes.rosters import roster
 
     usual = roster("tidy_house")
-    # # Some packs bring objects of their own alone, and still want their homes checked.
+    # Some packs bring objects of their own alone, and still want their homes checked.
     return usual if set(usual) <= set(pack.objects) else tuple(sorted(pack.objects))
 
 

@@ -170,7 +170,7 @@ def render_sheet(spec: HomesRenderSpec, json: bool) -> int:
     with progress_bar("drawing homes", len(homes)) as advance:
         names = [home.name for home in homes]
         images = render_homes(pack, names, spec.viewpoint, *spec.size, spec.shading)
-        # # Pictures come one by one, so that the bar moves and memory holds one home.
+        # Pictures come one by one, so that the bar moves and memory holds one home.
         for home, image in zip(homes, images, strict=True):
             tiles.append(
                 Tile(home.name, f"{home.split}, layout {home.macro}", home.note, image)

@@ -106,7 +106,7 @@ def make(spec: SpawnsMakeSpec, json: bool) -> int:
 
         def tell(done: int, fallbacks: int) -> None:
             nonlocal shown
-            # # The maker tells totals, and the bar takes steps.
+            # The maker tells totals, and the bar takes steps.
             for _ in range(done - shown):
                 advance()
             shown = done
@@ -148,7 +148,7 @@ def list_sets(spec: SpawnsListSpec, json: bool) -> int:
             path,
             f"does not exist; `mjhab spawns make --out FILE{SPAWNS_SUFFIX}` makes a set.",
         )
-    # # Names with a dot are of writers that have not finished.
+    # Names with a dot are of writers that have not finished.
     files = sorted(path.glob(f"[!.]*{SPAWNS_SUFFIX}")) if path.is_dir() else [path]
     found = []
     damaged = []
@@ -156,7 +156,7 @@ def list_sets(spec: SpawnsListSpec, json: bool) -> int:
         try:
             found.append(SpawnSet.read(file).describe())
         except UsageError as error:
-            # # In a folder one damaged file must not hide the others.
+            # In a folder one damaged file must not hide the others.
             if not path.is_dir():
                 raise
             damaged.append(str(error))

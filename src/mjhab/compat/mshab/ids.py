@@ -28,7 +28,7 @@ def register_ids() -> None:
                 env_id,
                 entry_point=f"mjhab.compat.mshab.worlds.kinds:{made}",
                 max_episode_steps=steps,
-                # # Both of Gymnasium's wrappers expect one world and arrays; these are tensors of many.
+                # Both of Gymnasium's wrappers expect one world and arrays; these are tensors of many.
                 order_enforce=False,
                 disable_env_checker=True,
                 additional_wrappers=(_LIMIT,),

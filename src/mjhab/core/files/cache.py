@@ -170,3 +170,8 @@ def write_atomic(path: Path, write: Callable[[Path], object]) -> None:
         os.replace(temporary, path)
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write ``text`` in UTF-8 so that a reader sees the old file or the new one, never a part."""
+    write_atomic(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))

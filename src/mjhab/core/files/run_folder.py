@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, ClassVar, Self
 
 from mjhab.core.errors import UsageError, wrong_value
-from mjhab.core.files.cache import write_atomic
+from mjhab.core.files.cache import write_text
 from mjhab.core.files.locking import WriteLock, lock_path, refuse_if_written
 from mjhab.core.files.outputs import check_output
 from mjhab.core.files.reading import read_json_object
@@ -228,11 +228,6 @@ class RunFolder:
             raise UsageError(
                 f"cannot resume {path}: it was started with {_changes_text(changes)}. Use the same options, {remedies}."
             )
-
-
-def write_text(path: Path, text: str) -> None:
-    """Write ``text`` so that a reader sees the old file or the new one, never a part."""
-    write_atomic(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
 
 
 def _some(names: list[str]) -> str:

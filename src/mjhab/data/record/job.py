@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from mjhab.core.errors import fault
-from mjhab.core.files.cache import write_atomic
+from mjhab.core.files.cache import write_text
 from mjhab.core.files.reading import parse_json, read_bytes, reason
 from mjhab.core.files.run_folder import RunFolder
 from mjhab.data.record.quotas import Outcome
@@ -91,9 +91,7 @@ def read_tried(path: Path) -> list[Outcome]:
     whole = [line for line in lines if line.endswith("\n")]
     # Else the next append would continue the torn line.
     if whole != lines:
-        write_atomic(
-            path, lambda temporary: temporary.write_text("".join(whole), encoding="utf-8")
-        )
+        write_text(path, "".join(whole))
     try:
         return [Outcome.from_dict(parse_json(line)) for line in whole]
     except (ValueError, TypeError) as error:

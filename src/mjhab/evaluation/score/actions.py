@@ -88,7 +88,6 @@ class ActionKeeper(StartKeeper):
         packed = packed_actions(np.stack(self._actions[world]))
         text = f"{self.starts[index]} {packed} {int(self.continuing[index])}"
         path = kept_path(self._folder, index)
-        path.parent.mkdir(parents=True, exist_ok=True)
         # One file per episode: a kill loses none that is finished.
         write_atomic(path, lambda temporary: temporary.write_text(text, encoding="ascii"))
 

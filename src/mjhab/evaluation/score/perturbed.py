@@ -11,7 +11,7 @@ from typing import Any
 from mjhab.config.env import EnvConfig
 from mjhab.config.perturbing import PERTURBATIONS, axes_text
 from mjhab.core.conventions.images import RGB, TARGET_RGB
-from mjhab.core.files.run_folder import write_text
+from mjhab.core.files.cache import write_text
 from mjhab.envs.observations.modes import DRAWN_OUTPUTS, POINTCLOUD, mode_outputs
 from mjhab.evaluation.evaluate import EvalSpec, run_evaluation
 from mjhab.evaluation.parts import describe_policy

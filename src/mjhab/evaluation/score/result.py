@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from mjhab.core.errors import about, fault, wrong_type, wrong_value
-from mjhab.core.files.cache import write_atomic
+from mjhab.core.files.cache import write_text
 from mjhab.core.files.reading import parse_json
 from mjhab.evaluation.score.manifest import Manifest, ScoreHomes, ScoreRow, manifest
 from mjhab.evaluation.score.summary import ScoredEpisode, summary_of
@@ -119,8 +119,7 @@ def write_result(
     }
     content["digest"] = digest_of(content)
     text = json.dumps(content, separators=(",", ":"))
-    path.parent.mkdir(parents=True, exist_ok=True)
-    write_atomic(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
+    write_text(path, text)
     # Read back, so that what is returned is what the check of others will see.
     return read_result(path)
 
@@ -135,7 +134,7 @@ def write_summary(path: Path, result: ScoreResult) -> None:
         "digest": result.digest,
     }
     text = json.dumps(content, indent=1) + "\n"
-    write_atomic(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
+    write_text(path, text)
 
 
 def read_for_table(path: Path) -> ScoreResult:

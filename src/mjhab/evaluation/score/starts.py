@@ -6,7 +6,7 @@ import json
 
 import numpy as np
 
-from mjhab.core.files.cache import write_atomic
+from mjhab.core.files.cache import write_text
 from mjhab.evaluation.evaluate import EvalSpec
 from mjhab.evaluation.parts import make_env
 from mjhab.evaluation.score.manifest import (
@@ -52,9 +52,7 @@ def write_starts(
 
 
 def _write(text: str) -> None:
-    write_atomic(
-        STARTS_FILE, lambda temporary: temporary.write_text(text, encoding="utf-8")
-    )
+    write_text(STARTS_FILE, text)
 
 
 def starts_of(

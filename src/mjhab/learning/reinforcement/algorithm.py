@@ -11,7 +11,7 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from mjhab.core.files.run_folder import write_text
+from mjhab.core.files.cache import write_text
 from mjhab.learning.reinforcement.demonstrations.expert import collect_demonstrations
 from mjhab.learning.reinforcement.demonstrations.recorded import replay_recorded
 from mjhab.learning.reinforcement.replay import ReplayBuffer, ReplayShape

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from mjhab.core.errors import UsageError
-from mjhab.core.files.cache import cache_dir, write_atomic
+from mjhab.core.files.cache import cache_dir, write_text
 from mjhab.core.files.reading import read_json_object
 from mjhab.core.machine import cores, processor
 from mjhab.core.version import __version__
@@ -177,7 +177,7 @@ class Rates:
         text = json.dumps(newest, indent=1) + "\n"
         # A rate that cannot be kept is measured again.
         with contextlib.suppress(OSError):
-            write_atomic(_file(), lambda path: path.write_text(text, encoding="utf-8"))
+            write_text(_file(), text)
 
     def _read(self) -> dict[str, Any]:
         try:

@@ -27,7 +27,8 @@ from rich.live import Live
 from rich.table import Table
 
 from mjhab.core.arithmetic.sums import ordered_sum
-from mjhab.core.files.run_folder import RunFolder, write_text
+from mjhab.core.files.cache import write_text
+from mjhab.core.files.run_folder import RunFolder
 from mjhab.learning.resuming import as_begun_now
 from mjhab.reports.compared.trainings import FINAL, METRICS, read_metrics
 

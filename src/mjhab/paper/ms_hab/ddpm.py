@@ -45,7 +45,7 @@ def sample(predict_noise: Callable[[Tensor, Tensor], Tensor], noise: Tensor) -> 
     kept = torch.cumprod(1 - betas, dim=0)
     current = noise[:, 0]
     for t in range(steps - 1, -1, -1):
-        # # Before the first step nothing of the sample is lost.
+        # Before the first step nothing of the sample is lost.
         before = kept[t - 1] if t > 0 else torch.ones_like(kept[0])
         step = torch.full((len(current),), t, dtype=torch.int64, device=noise.device)
         predicted = predict_noise(current, step)
@@ -58,7 +58,7 @@ def sample(predict_noise: Callable[[Tensor, Tensor], Tensor], noise: Tensor) -> 
             before.sqrt() * beta / (1 - kept[t]) * clean
             + alpha.sqrt() * (1 - before) / (1 - kept[t]) * current
         )
-        # # The last step adds no noise, or the actions would shake.
+        # The last step adds no noise, or the actions would shake.
         if t == 0:
             return mean
         variance = ((1 - before) / (1 - kept[t]) * beta).clamp(min=SMALLEST_VARIANCE)

@@ -67,7 +67,7 @@ class Dp(Network):
         def predict(actions: Tensor, step: Tensor) -> Tensor:
             return self.noise_pred_net(actions, step, condition)
 
-        # # The plan begins at the oldest frame; actions of the past are not executed.
+        # The plan begins at the oldest frame; actions of the past are not executed.
         start = self.frames - 1
         return ddpm.sample(predict, noise)[:, start : start + ACT_STEPS]
 
@@ -114,7 +114,7 @@ class PublishedUNet(UNet):
         # In this order of operations: the last bits of the published actions depend on it.
         rate = math.log(10000) / max(half - 1, 1)
         frequencies = torch.exp(-rate * torch.arange(half))
-        # # Not persistent: checkpoints of MS-HAB have no such entry.
+        # Not persistent: checkpoints of MS-HAB have no such entry.
         self.register_buffer("frequencies", frequencies, persistent=False)
         self.register_state_dict_post_hook(_publish_names)
         self.register_load_state_dict_pre_hook(_own_names)

@@ -88,7 +88,7 @@ def mlp(sizes: Sequence[int]) -> nn.Sequential:
     layers: list[nn.Module] = []
     for width, following in itertools.pairwise(sizes):
         layers += [nn.Linear(width, following), nn.ReLU()]
-    # # The last layer gives numbers of either sign.
+    # The last layer gives numbers of either sign.
     return nn.Sequential(*layers[:-1])
 
 
@@ -101,6 +101,6 @@ def flat_size(cnn: nn.Module, channels: int) -> int:
                 .flatten(1)
                 .shape[1]
             )
-    # # The sizes come from a file, which may be of images that this CNN cannot take.
+    # The sizes come from a file, which may be of images that this CNN cannot take.
     except RuntimeError:
         return 0

@@ -145,7 +145,7 @@ class MsHabPolicy:
         for start in range(0, len(due), at_once):
             self._plan(due[start : start + at_once], info)
         actions = np.stack([planned.popleft() for planned in self._planned])
-        # # Networks give these some value, to which nothing in training corresponded.
+        # Networks give these some value, to which nothing in training corresponded.
         actions[:, HEAD_ACTIONS] = 0.0
         return actions
 
@@ -160,7 +160,7 @@ class MsHabPolicy:
                     seen[:, None], self._network.frames, axis=1
                 )
             frames = self._frames[name]
-            # # A copy, because source and target overlap.
+            # A copy, because source and target overlap.
             frames[:, :-1] = frames[:, 1:].copy()
             frames[:, -1] = seen
             frames[self._fresh] = seen[self._fresh, None]

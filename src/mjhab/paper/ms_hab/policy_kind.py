@@ -42,7 +42,7 @@ class MsHabFile(OpenedPolicy):
         Raises:
             UsageError: torch is not installed, or the file cannot be read as a policy of MS-HAB.
         """
-        # # A file that is no checkpoint shall be refused as such, before it is hashed.
+        # A file that is no checkpoint shall be refused as such, before it is hashed.
         _ = self.network
         from mjhab.paper.ms_hab.policy import ENV_OPTIONS
 

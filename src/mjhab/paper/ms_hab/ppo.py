@@ -26,7 +26,7 @@ class PpoNetwork(Network):
         self.frames = extractors.frames
         widths = output_sizes(shapes, "actor_mean.", 2, (512, ACTION_SIZE))
         self.actor_mean = mlp([extractors.width, *widths])
-        # # Not used in inference, but an entry of every checkpoint.
+        # Not used in inference, but an entry of every checkpoint.
         self.actor_logstd = nn.Parameter(torch.zeros(1, widths[-1]))
 
     def plan(self, depth: Mapping[str, Tensor], state: Tensor, noise: Tensor) -> Tensor:

@@ -39,7 +39,7 @@ class SacNetwork(Network):
 
     def plan(self, depth: Mapping[str, Tensor], state: Tensor, noise: Tensor) -> Tensor:
         """The squashed mean of the Gaussian, (B, 1, 13)."""
-        # # The second half is the spread, which evaluation leaves out.
+        # The second half is the spread, which evaluation leaves out.
         mean, _ = self.actor.mlp(self.actor.encoder(depth, state[:, -1])).chunk(2, dim=-1)
         return torch.tanh(mean)[:, None]
 
@@ -91,7 +91,7 @@ class _Cnn(nn.Module):
             kernel = size(shapes, f"{prefix}{2 * i}.weight", 2, 3)
             layers += [nn.Conv2d(channels, width, kernel, STRIDE_PX), nn.ReLU()]
             channels = width
-        # # MS-HAB has no activation behind the last convolution: the projection normalizes.
+        # MS-HAB has no activation behind the last convolution: the projection normalizes.
         self.layers = nn.Sequential(*layers[:-1], nn.Flatten())
 
     def forward(self, pixels: Tensor) -> Tensor:

@@ -10,8 +10,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mjhab.core.errors import fault
+from mjhab.core.files.cache import write_text
 from mjhab.core.files.reading import read_json_object
-from mjhab.core.files.run_folder import CONFIG, RunFolder, write_text
+from mjhab.core.files.run_folder import CONFIG, RunFolder
 from mjhab.evaluation.evaluate import EvalSpec, run_evaluation
 from mjhab.learning.assigned.entries import Entry
 from mjhab.learning.assigned.files import entries_text
@@ -128,7 +129,7 @@ def make_row(spec: TableSpec, row: TableRow, sinks: Sinks) -> None:
         else:
             judged = [_judge_task(spec, row, trained, variant, sinks)]
         found[variant.name] = measured(runs, judged)
-        # # After every variant: training takes hours, and an interrupt must cost one only.
+        # After every variant: training takes hours, and an interrupt must cost one only.
         write_text(path, json.dumps(found, indent=1) + "\n")
 
 
@@ -144,7 +145,7 @@ def _judge_policies(
     sinks: Sinks,
 ) -> list[Path]:
     """Evaluate each policy of a row in its share of the episodes; returns the run folders."""
-    # # Rounded up, so that every policy is judged as often as the others.
+    # Rounded up, so that every policy is judged as often as the others.
     share = -(-spec.episodes // len(trained))
     return [
         judge(
@@ -203,7 +204,7 @@ def judge(spec: TableSpec, judging: EvalSpec, sinks: Sinks) -> Path:
     assert judging.out is not None
     shared = {
         "num_envs": spec.asked.num_envs,
-        # # Apart from the seeds of training, so that policies meet other episodes.
+        # Apart from the seeds of training, so that policies meet other episodes.
         "seed": EVALUATION_SEED + spec.asked.seed,
         "split": spec.asked.split,
         "assets": spec.asked.assets,
@@ -232,7 +233,7 @@ def study_run(spec: TableSpec, row: TableRow, variant: Variant) -> Path:
     run = folder / TRAIN / variant.name
     resume = (run / CONFIG).is_file()
     if train_imitation(spec, row, variant.imitation, folder, run, resume).interrupted:
-        # # The training has saved itself; what follows would need its policy.
+        # The training has saved itself; what follows would need its policy.
         raise KeyboardInterrupt
     return run
 
@@ -301,7 +302,7 @@ def _train(spec: TableSpec, row: TableRow, target: str, run: Path) -> TrainingRe
     from mjhab.learning.train import train_spec
 
     common = _training_options(spec, row, target, run)
-    # # Only imitation: presets of reinforcement learning have their own number of worlds.
+    # Only imitation: presets of reinforcement learning have their own number of worlds.
     common["env"]["num_envs"] = spec.asked.num_envs
     return train_spec(
         DaggerSpec(device=spec.device or CPU, preset=spec.preset_name, **common)
@@ -342,7 +343,7 @@ def _training_options(
         "set": spec.set,
         "env": env_of(spec, row, target or FOR_ALL),
         "budget_minutes": spec.budget_minutes,
-        # # Rows are judged together afterwards, by the rules of every variant.
+        # Rows are judged together afterwards, by the rules of every variant.
         "eval_episodes": 0,
         "round_episodes": 0,
         "eval_split": TRAINED_IN,

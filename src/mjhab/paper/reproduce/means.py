@@ -22,7 +22,7 @@ def means(results: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
             for result in results
             if result["rules"] == rules and result["success_once"] is not None
         ]
-        # # A mean over one row would only repeat it.
+        # A mean over one row would only repeat it.
         if len(done) < 2:
             continue
         # A policy of the paper has a mean over the same rows, or none.

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from mjhab.core.arithmetic.sums import ordered_sum
+from mjhab.core.files.cache import write_text
 from mjhab.core.files.reading import read_json_object
-from mjhab.core.files.run_folder import write_text
 from mjhab.data.store.episode_data import last_label
 from mjhab.paper.reproduce.means import means
 from mjhab.paper.reproduce.rows import RL_ALL, RL_PER, TableRow, table_rows
@@ -176,7 +176,7 @@ def result_of(
     "paper" holds the paper's success-once rates [%] under the rules of Table 1, by SUCCESS_COLUMNS. "paper_says" is the
     paper's statement about other rules, or "".
     """
-    # # The paper's rates are of these rules alone; beside others they would mislead.
+    # The paper's rates are of these rules alone; beside others they would mislead.
     published = (variant == AS_PUBLISHED.name or config["what"] == TABLE5) and bool(
         row.subtask
     )
@@ -243,7 +243,7 @@ def outcomes(results: Sequence[Mapping[str, Any]], split: str) -> list[tuple[Any
         theirs = published.labels if published else {}
         counts = result["labels"]
         for label in dict.fromkeys((*counts, *theirs)):
-            # # A row whose policies were never trained has no episodes.
+            # A row whose policies were never trained has no episodes.
             share = 100 * counts.get(label, 0) / max(1, result["episodes"])
             found.append(
                 (row.name, result["rules"], label, round(share, 1), theirs.get(label, ""))

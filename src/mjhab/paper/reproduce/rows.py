@@ -57,7 +57,7 @@ def place_rows() -> dict[str, TableRow]:
 
 def task_rows() -> dict[str, TableRow]:
     """The whole tasks by name."""
-    # # A dict and no set, to keep the order of the table.
+    # A dict and no set, to keep the order of the table.
     names = dict.fromkeys(row.task for row in table_rows().values())
     return {name: TableRow(name, name, "", FOR_ALL) for name in names}
 

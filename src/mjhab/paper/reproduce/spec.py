@@ -156,7 +156,7 @@ class TableSpec(EnvSpec):
     def asked(self) -> EnvConfig:
         """The environment as it was asked for; the device of students is that of their network."""
         options = self.env_options
-        # # The same word names where networks are trained, which a backend on the CPU would refuse.
+        # The same word names where networks are trained, which a backend on the CPU would refuse.
         if options.get("backend", "cpu") == "cpu":
             taken(EnvConfig, "device", options.pop("device", ""))
         return EnvConfig(**options)
@@ -239,7 +239,7 @@ def chosen_rows(spec: TableSpec) -> list[TableRow]:
             raise unknown_name("row", name, known)
     if spec.column not in POLICY_COLUMNS:
         raise unknown_name("column", spec.column, POLICY_COLUMNS)
-    # # Made here, so that wrong options are told before hours of training.
+    # Made here, so that wrong options are told before hours of training.
     _ = spec.asked
     compares = spec.what in (*STUDIES, *REWARDED)
     if compares and spec.column != STUDENTS:
@@ -270,7 +270,7 @@ def chosen_rows(spec: TableSpec) -> list[TableRow]:
     rows = [known[name] for name in dict.fromkeys(names)]
     for row in rows:
         for part in policy_rows(row):
-            # # For every row in advance: the tenth would otherwise fail after nine trainings.
+            # For every row in advance: the tenth would otherwise fail after nine trainings.
             _check_preset(spec, part)
     if spec.policies is not None and not (spec.policies / "config.json").is_file():
         raise fault(
@@ -313,7 +313,7 @@ def table_config(spec: TableSpec) -> dict[str, Any]:
         "backend": spec.asked.backend,
     }
     policies = {} if spec.policies is None else {"policies": str(spec.policies)}
-    # # Only what was given: folders of earlier versions lack these names and must still resume.
+    # Only what was given: folders of earlier versions lack these names and must still resume.
     given: dict[str, Any] = {
         name: getattr(spec, name) for name in ("demos", "updates") if getattr(spec, name)
     }

@@ -64,7 +64,7 @@ def train_imitation(
     places = tuple(
         _collected(spec, asked, folder / DATA, name) for name in imitation.data
     )
-    # # With two data sets half of each, so that all variants learn from as many.
+    # With two data sets half of each, so that all variants learn from as many.
     half = f"success and index < {_episodes(spec) // 2}" if len(places) > 1 else None
     return train_spec(
         dataclasses.replace(
@@ -117,7 +117,7 @@ def _collected(spec: TableSpec, asked: ImitationSpec, out: Path, name: str) -> P
     inputs = dataclasses.replace(
         preset.inputs, image_size=asked.config.student.inputs.image_size
     )
-    # # The preset and not the variant: variants that differ elsewhere share these data.
+    # The preset and not the variant: variants that differ elsewhere share these data.
     seen = ImitationConfig(dataclasses.replace(preset, inputs=inputs))
     layout = layout_for(dataclasses.replace(asked, preset=seen))
     changes = {**_by_name(preset.style), **_by_name(STYLES[name])}

@@ -148,7 +148,7 @@ def _side_by_side(
         [
             shown_episode(run.by_index[index], run.films[index], run.name)
             for run in runs
-            # # A run that is not finished has films without their records, or records without films.
+            # A run that is not finished has films without their records, or records without films.
             if index in run.films and index in run.by_index
         ]
         for index in filmed[:MOST_FILMED]
@@ -180,9 +180,9 @@ def bars(
     layout = {
         "height": 90 + 40 * len(names),
         "bargap": 0.4,
-        # # A range to 1 would cut half of the line of a full bar.
+        # A range to 1 would cut half of the line of a full bar.
         "xaxis": {"range": [0, 1.001], "tickformat": ".0%"},
-        # # plotly begins at the bottom; the first run belongs on top.
+        # plotly begins at the bottom; the first run belongs on top.
         "yaxis": {"autorange": "reversed"},
         "showlegend": False,
     }

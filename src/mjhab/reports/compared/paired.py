@@ -81,7 +81,7 @@ def paired(first: Sequence[EpisodeRecord], second: Sequence[EpisodeRecord]) -> P
     others = {(record.seed, record.index): record for record in second}
     pairs = [
         (record, others[record.seed, record.index])
-        # # Episodes of several workers come in the order in which they finish.
+        # Episodes of several workers come in the order in which they finish.
         for record in sorted(first, key=lambda record: (record.seed, record.index))
         if (record.seed, record.index) in others
     ]
@@ -113,7 +113,7 @@ def together(parts: Sequence[Paired]) -> Paired:
 
 def _by_count(changes: Counter[tuple[str, str]]) -> tuple[tuple[str, str, int], ...]:
     """Changes of labels and their numbers, the most frequent first."""
-    # # By name among equals, so that the same runs give the same page.
+    # By name among equals, so that the same runs give the same page.
     ordered = sorted(changes.items(), key=lambda item: (-item[1], item[0]))
     return tuple((before, after, count) for (before, after), count in ordered)
 
@@ -160,7 +160,7 @@ def paired_interval(
     alike = _correlation(both, only_a, only_b, neither)
 
     def reach(up: float, down: float) -> float:
-        # # Rounding can make the square slightly negative where both parts are equal.
+        # Rounding can make the square slightly negative where both parts are equal.
         return math.sqrt(max(up**2 - 2.0 * alike * up * down + down**2, 0.0))
 
     middle = rate_b - rate_a
@@ -177,6 +177,6 @@ def _correlation(both: int, only_a: int, only_b: int, neither: int) -> float:
     total = both + only_a + only_b + neither
     product = both * neither - only_a * only_b
     if product > 0:
-        # # The correction must not turn the sign of a small correlation.
+        # The correction must not turn the sign of a small correlation.
         product = max(product - total / 2.0, 0.0)
     return product / math.sqrt(size)

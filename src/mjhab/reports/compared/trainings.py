@@ -38,7 +38,7 @@ def read_metrics(folder: Path, step: int | None = None) -> list[dict[str, Any]]:
     path = folder / METRICS
     found = []
     for line in path.read_text(encoding="utf-8").splitlines() if path.is_file() else []:
-        # # The run may be writing its last line right now.
+        # The run may be writing its last line right now.
         with suppress(ValueError):
             found.append(parse_json(line))
     return [row for row in found if step is None or row["step"] <= step]

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from mjhab.core.errors import about, fault
-from mjhab.core.files.cache import write_atomic
+from mjhab.core.files.cache import write_text
 from mjhab.core.files.reading import read_json_object
 from mjhab.core.names import below
 from mjhab.episodes.episode import Episode, episode_content, episode_of
@@ -37,14 +37,13 @@ def init_config_name(task: str, split: str, index: int) -> str:
 def write_init_config(root: Path, name: str, layout: Layout, episode: Episode) -> Path:
     """Write the file of an episode below ``root``, atomically, and return its path."""
     hab = to_hab(layout, layout.pack.homes_by_name[episode.home], episode)
-    # # A settled state holds for one layout only, as columns and contacts depend on it.
+    # A settled state holds for one layout only, as columns and contacts depend on it.
     settled = {"layout": layout_digest(layout), **episode_content(episode)}
     row = to_json(dataclasses.replace(hab, info={**hab.info, _SETTLED: settled}))
-    # # Other readers of JSON refuse NaN, which Python would write.
+    # Other readers of JSON refuse NaN, which Python would write.
     text = json.dumps(row, allow_nan=False)
     path = below(root, name)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    write_atomic(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
+    write_text(path, text)
     return path
 
 
@@ -94,7 +93,7 @@ class InitConfigs:
         self._digest = layout_digest(sim.layout)
 
     @cached_property
-    # # Made when asked for: files of mjhab's own need no simulation to settle.
+    # Made when asked for: files of mjhab's own need no simulation to settle.
     def _settling(self) -> FileEpisodes:
         """The episodes as those of one file."""
         file = HabFile(tuple(self.files.values()), path=self.root)

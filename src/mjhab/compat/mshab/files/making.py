@@ -128,7 +128,7 @@ def make_plans(
         return found
 
     with ThreadPoolExecutor(threads) as pool:
-        # # map keeps the order, so that the numbers in uids do not depend on threads.
+        # map keeps the order, so that the numbers in uids do not depend on threads.
         parts = list(pool.map(made, range(count)))
     files: list[Path] = []
     plans = 0
@@ -195,7 +195,7 @@ class _Factory:
             whole.append(
                 NavigateSubtask()
                 if subtask is None or subtask.type == "navigate"
-                # # A copy: in the plan of the whole task it has another uid than alone.
+                # A copy: in the plan of the whole task it has another uid than alone.
                 else dataclasses.replace(subtask)
             )
             starts = self.starts.get(own.name)
@@ -264,7 +264,7 @@ class _Factory:
             if not starts.held.holds(kind):
                 continue
             yaw = self.layout.pack.objects[kind].scan_yaw
-            # # Poses in files are in the axes of the object's scan.
+            # Poses in files are in the axes of the object's scan.
             turn = np.concatenate([np.zeros(3), quat_from_yaw(np.asarray(yaw))])
             arms = starts.arms.arms(kind)
             joints = np.tile(robot.rest, (len(arms), 1))

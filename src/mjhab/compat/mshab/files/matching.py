@@ -40,7 +40,7 @@ def object_name(obj_id: str | None) -> str:
     """
     if not obj_id:
         return ""
-    # # Kinds can hold a dash themselves, as 072-a_toy_airplane does.
+    # Kinds can hold a dash themselves, as 072-a_toy_airplane does.
     kind, dash, number = obj_id.rpartition("-")
     if not dash or not kind or not number.isdecimal():
         raise wrong_value("obj_id", obj_id, "kind and number of an object: '024_bowl-0'")
@@ -111,7 +111,7 @@ def position_in(chain: TaskPlan, layout: Layout, subtask: MsHabSubtask) -> int:
         has = ", ".join(alike) or "none"
         raise wrong_value(subtask.type, about, f"one of the episode's: {has}")
     if isinstance(subtask, NavigateSubtask) and subtask.goal_pos is not None:
-        # # A task drives to some places more than once; the goals tell the drives apart.
+        # A task drives to some places more than once; the goals tell the drives apart.
         return min(found, key=lambda i: _distance(chain.subtasks[i].goal_pos, subtask))
     return found[0]
 
@@ -196,7 +196,7 @@ def _point(given: Any) -> Vec3:
 
 def home_of(build_config_name: str | None) -> str:
     """Name of the home of a plan: without the suffix of scene files."""
-    # # Plans that were written on Windows have its separators.
+    # Plans that were written on Windows have its separators.
     name = (build_config_name or "").replace("\\", "/").rpartition("/")[2]
     return name.removesuffix(SCENE_SUFFIX)
 

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from mjhab.core.errors import fault, wrong_value
-from mjhab.core.files.cache import write_atomic
+from mjhab.core.files.cache import write_atomic, write_text
 from mjhab.core.files.reading import read_bytes
 from mjhab.core.names import below
 from mjhab.scenes.freespace import FreeMap
@@ -91,19 +91,18 @@ def read_maps(folders: Sequence[Path], scenes: Sequence[str]) -> dict[str, Navig
 def write_map(folder: Path, scene: str, free: FreeMap) -> tuple[Path, Path, Path]:
     """Write the three files of a home; inverse of `read_map`."""
     paths = map_paths(folder, scene)
-    folder.mkdir(parents=True, exist_ok=True)
     every = free.navigable()
     step = max(1, round(SPACING_M / free.cell))
     cells, faces = _meshed(every[::step, ::step])
     cells = cells * step
-    # # Not strict: the third of the files holds lengths, and no mesh.
+    # Not strict: the third of the files holds lengths, and no mesh.
     for path, mesh in zip(paths, (_meshed(every), (cells, faces)), strict=False):
         text = _wavefront(free.to_xy(mesh[0]), mesh[1])
-        write_atomic(path, lambda temporary, text=text: temporary.write_text(text))
+        write_text(path, text)
     ways = free.ways_between(cells)
 
     def save(temporary: Path) -> None:
-        # # Given a path, numpy would append .npy to it.
+        # Given a path, numpy would append .npy to it.
         with temporary.open("wb") as file:
             np.save(file, ways)
 
@@ -166,7 +165,7 @@ def _wavefront(places: np.ndarray, faces: np.ndarray) -> str:
 def _places(path: Path) -> np.ndarray:
     """Vertices (V, 2) of a Wavefront file."""
     rows = []
-    # # Comments of such a file may be in any encoding; only its numbers are read.
+    # Comments of such a file may be in any encoding; only its numbers are read.
     text = read_bytes(path, MAX_MAP_MB).decode("utf-8", "replace")
     for number, line in enumerate(text.splitlines(), 1):
         kind, *numbers = line.split() or [""]
@@ -207,7 +206,7 @@ def _ways(path: Path) -> np.ndarray:
             "numbers (places, places)",
             where=path,
         )
-    # # Infinity is a length, too: furniture can part two places.
+    # Infinity is a length, too: furniture can part two places.
     if np.isnan(ways).any() or (ways < 0).any():
         raise fault(path, "it has ways that are negative or no numbers.")
     return ways.astype(np.float32)

@@ -22,7 +22,7 @@ from mjhab.episodes.hab.format import HabEpisode
 from mjhab.scenes.packs import open_pack
 
 BUILTIN = "builtin"
-# # Part of the key of the cache: to be raised when the same files give other starts.
+# Part of the key of the cache: to be raised when the same files give other starts.
 _VERSION = 1
 _SHOWN = 5
 
@@ -89,7 +89,7 @@ def complete(request: PlanRequest) -> PlanRequest:
     if not assets:
         known = open_pack(BUILTIN).homes_by_name
         fits = home_of(first.build_config_name) in known
-        # # Plans of the original name homes of ReplicaCAD, which the built-in pack lacks.
+        # Plans of the original name homes of ReplicaCAD, which the built-in pack lacks.
         other = REPLICA_CAD.is_dir() and not fits
         assets = str(REPLICA_CAD) if other else BUILTIN
     return dataclasses.replace(request, dataset=dataset, root=root, assets=assets)
@@ -173,6 +173,6 @@ def digest_of(request: PlanRequest) -> str:
         digest.update(request.spawn_file.read_bytes())
     for name in _names_of(request):
         path = root_of(request) / name
-        # # A missing file is told where it is read, with the folder that should hold it.
+        # A missing file is told where it is read, with the folder that should hold it.
         digest.update(path.read_bytes() if path.is_file() else b"")
     return digest.hexdigest()[:24]

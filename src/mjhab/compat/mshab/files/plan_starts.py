@@ -141,12 +141,12 @@ def plan_starts(request: PlanRequest, threads: int = 0) -> PlanStarts:
     pack = open_pack(request.assets)
     check_homes(request, pack.homes_by_name, pack.name)
     noted = read_cached(_note(key), lambda path: json.loads(path.read_text()))
-    # # What the episodes need is kept, because reading all of their files takes long.
+    # What the episodes need is kept, because reading all of their files takes long.
     if noted is None:
         files = episodes_of(request)
         needed = file_roster(HabFile(tuple(files.values()), path=root_of(request)), pack)
         extra = Counter(needed) - Counter(roster(task))
-        # # Sorted, as the order of objects is part of the layout and so of the file's name.
+        # Sorted, as the order of objects is part of the layout and so of the file's name.
         noted = {"extra": sorted(extra.elements())}
         text = json.dumps(noted)
         write_cached(_note(key), lambda path: path.write_text(text))
@@ -232,7 +232,7 @@ class _Maker:
         own = dataclasses.replace(episode, targets=targets)
         starts = self.states.starts
         qpos = starts.episode_qpos(own)
-        # # Episodes of the original begin at its fixed place, if that is free in this home.
+        # Episodes of the original begin at its fixed place, if that is free in this home.
         if not self.episodes.is_own(str(plan.init_config_name)):
             ahead = SpawnGoal(_START_XY + np.array([1.0, 0.0]))
             placed = starts.sampler.at(own.home, qpos, _START_XY, ahead)
@@ -243,7 +243,7 @@ class _Maker:
 
 
 def _write(out: Path, maker: _Maker, rows: Sequence[PlanRow], threads: int) -> None:
-    # # Before the others are made: the first row tells how large the file will be.
+    # Before the others are made: the first row tells how large the file will be.
     check_size(pack_rows([maker.row(rows[0])]), len(rows))
     with ThreadPoolExecutor(threads) as pool:
         made = list(pool.map(maker.row, rows))

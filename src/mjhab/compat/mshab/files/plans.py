@@ -19,7 +19,7 @@ from mjhab.core.errors import (
     wrong_type,
     wrong_value,
 )
-from mjhab.core.files.cache import write_atomic
+from mjhab.core.files.cache import write_text
 from mjhab.core.files.reading import parse_json, read_bytes
 from mjhab.core.typed.options import read_record
 from mjhab.data.imports.ms_hab_layout import dataset_name
@@ -86,8 +86,7 @@ def plan_data_from_file(config_path: Any = None) -> PlanData:
 def write_plan_data(path: Path, data: PlanData) -> None:
     """Write plans as JSON, atomically; inverse of `plan_data_from_file`."""
     text = json.dumps(dataclasses.asdict(data))
-    path.parent.mkdir(parents=True, exist_ok=True)
-    write_atomic(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
+    write_text(path, text)
 
 
 def task_of_dataset(name: str) -> tuple[str, str]:
@@ -129,9 +128,9 @@ def _parsed(path: Path) -> Any:
             path, "plans in YAML need `pip install pyyaml`; JSON needs nothing."
         ) from error
     try:
-        # # Other loaders make whatever Python object a file names.
+        # Other loaders make whatever Python object a file names.
         return yaml.safe_load(raw)
-    # # PyYAML reads nested lists by recursion, which a file of brackets exhausts.
+    # PyYAML reads nested lists by recursion, which a file of brackets exhausts.
     except (yaml.YAMLError, UnicodeDecodeError, RecursionError) as error:
         text = " ".join(str(error).split())
         raise fault(path, f"not valid YAML ({text}).") from error

@@ -143,5 +143,4 @@ def _tensors(arrays: Spawns) -> dict[str, object]:
 def _save(path: Path, content: object) -> None:
     import torch
 
-    path.parent.mkdir(parents=True, exist_ok=True)
     write_atomic(path, lambda temporary: torch.save(content, temporary))

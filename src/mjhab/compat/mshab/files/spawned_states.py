@@ -58,7 +58,7 @@ class SpawnedStates:
         """
         qpos = self.starts.episode_qpos(episode)
         self._set_links(qpos, subtask, entry, number)
-        # # The entry stays as it was read: other starts are made from it.
+        # The entry stays as it was read: other starts are made from it.
         robot = entry[ROBOT_QPOS][number].copy()
         robot[_XY] += entry[ROBOT_POS][number][_XY]
         qpos[self.starts.sim.addresses.robot_q] = robot
@@ -66,7 +66,7 @@ class SpawnedStates:
         if OBJ_POSE in entry and obj:
             self._put(qpos, obj, entry[OBJ_POSE][number])
         held = entry[HELD_POSE][number] if HELD_POSE in entry else np.zeros(7)
-        # # A pose of zeros alone stands for an empty hand.
+        # A pose of zeros alone stands for an empty hand.
         if obj and held.any():
             tcp = self.starts.sampler.scratch.tcp_pose(episode.home, qpos)
             self._put(qpos, obj, pose_mul(tcp, _unit(held)))
@@ -100,7 +100,7 @@ class SpawnedStates:
         for row, position in zip(columns, given.tolist(), strict=True):
             link = layout.links[row].link
             low, high = link.range
-            # # In the files a mirrored door opens to the other sign.
+            # In the files a mirrored door opens to the other sign.
             own = -position if link.mirrored else position
             if not low - _SLACK <= own <= high + _SLACK:
                 raise wrong_value(
@@ -182,7 +182,7 @@ class SpawnedStates:
 def _unit(pose: np.ndarray) -> np.ndarray:
     """A pose (7,) of a file of float32, with its quaternion made a unit one."""
     length = float(np.linalg.norm(pose[3:]))
-    # # Rounding to float32 is off by far less, so such a pose is damaged.
+    # Rounding to float32 is off by far less, so such a pose is damaged.
     if not 0.9 < length < 1.1:
         raise wrong_value("quaternion of a pose", pose[3:].tolist(), "of length 1")
     return np.concatenate([pose[:3], pose[3:] / length])

@@ -168,7 +168,7 @@ def _rectangle(given: Any) -> list[list[float]]:
     along = np.roll(points, -1, axis=0) - points
     back = np.roll(points, 1, axis=0) - points
     lengths = np.linalg.norm(along, axis=1) * np.linalg.norm(back, axis=1)
-    # # Two equal corners have no angle: theirs is NaN, which no tolerance admits.
+    # Two equal corners have no angle: theirs is NaN, which no tolerance admits.
     with np.errstate(invalid="ignore", divide="ignore"):
         angles = np.arccos(np.clip(np.sum(along * back, axis=1) / lengths, -1.0, 1.0))
     if not (np.abs(angles - np.pi / 2) < RIGHT_ANGLE_TOLERANCE_RAD).all():

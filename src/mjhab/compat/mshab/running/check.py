@@ -27,12 +27,12 @@ def check_script(script: Path) -> dict[str, Any]:
     Raises:
         UsageError: the file is no Python.
     """
-    # # A file that is not UTF-8 ends in a ValueError.
+    # A file that is not UTF-8 ends in a ValueError.
     with about(script, (SyntaxError, ValueError)):
         tree = ast.parse(script.read_text(encoding="utf-8"))
     checkout = checkout_of(script)
     if checkout is not None and str(checkout) not in sys.path:
-        # # As when the script runs: what the checkout has counts as answered.
+        # As when the script runs: what the checkout has counts as answered.
         sys.path.append(str(checkout))
     modules = answered_modules()
     found: dict[str, str] = {}

@@ -8,6 +8,7 @@ import gymnasium
 import torch
 from gymnasium import vector
 
+from mjhab.compat.mshab.wrappers.forwarding import ForwardingWrapper
 from mjhab.core.errors import warn_once
 
 
@@ -15,9 +16,9 @@ def keep_old_habits() -> None:
     """Let wrappers pass on attributes that they lack, and vector wrappers have their former name."""
     if not hasattr(vector, "VectorEnvWrapper"):
         vector.VectorEnvWrapper = vector.VectorWrapper  # type: ignore[attr-defined]
-    # # Gymnasium before 1.0 has it, and its own stays.
+    # Gymnasium before 1.0 has it, and its own stays.
     if not hasattr(gymnasium.Wrapper, "__getattr__"):
-        gymnasium.Wrapper.__getattr__ = _below  # type: ignore[attr-defined]
+        gymnasium.Wrapper.__getattr__ = ForwardingWrapper.__getattr__  # type: ignore[attr-defined]
 
 
 def stay_on_the_cpu() -> None:
@@ -29,9 +30,3 @@ def stay_on_the_cpu() -> None:
 def _stays(self: torch.Tensor, *_: Any, **__: Any) -> torch.Tensor:
     warn_once("tensor.cuda(): there is no GPU, so tensors stay on the CPU.")
     return self
-
-
-def _below(self: Any, name: str) -> Any:
-    if name.startswith("_") or name == "env":
-        raise AttributeError(f"{type(self).__name__} has no attribute {name!r}")
-    return getattr(self.env, name)

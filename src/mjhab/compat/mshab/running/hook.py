@@ -27,7 +27,7 @@ def installed(package: str) -> bool:
         try:
             if finder.find_spec(package, None) is not None:
                 return True
-        # # Old finders of other packages lack find_spec.
+        # Old finders of other packages lack find_spec.
         except (ImportError, AttributeError):
             continue
     return False
@@ -87,7 +87,7 @@ class Answers(MetaPathFinder, Loader):
         )
         top, *below = fullname.split(".")
         if inside and top == "mshab" and self._folder is not None:
-            # # What is not answered of the package comes from MS-HAB's own files.
+            # What is not answered of the package comes from MS-HAB's own files.
             spec.submodule_search_locations = [str(self._folder.joinpath(*below))]
         return spec
 
@@ -125,7 +125,7 @@ def install() -> bool:
     modules = answered_modules()
     if not modules:
         return False
-    # # Ahead of the finder of files, which would find MS-HAB's own modules.
+    # Ahead of the finder of files, which would find MS-HAB's own modules.
     sys.meta_path.insert(0, Answers(modules, package_folder()))
     importlib.import_module("mjhab.compat.mshab")
     return True

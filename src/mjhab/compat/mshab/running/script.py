@@ -99,9 +99,9 @@ def run_module(
     try:
         spec = importlib.util.find_spec(name)
         if spec is not None and spec.submodule_search_locations is not None:
-            # # As `python -m` does with a package.
+            # As `python -m` does with a package.
             spec = importlib.util.find_spec(f"{name}.__main__")
-    # # A package above it is missing, which is told like the module itself.
+    # A package above it is missing, which is told like the module itself.
     except ModuleNotFoundError:
         spec = None
     if spec is None or not spec.has_location or spec.origin is None:
@@ -124,7 +124,7 @@ def _run(path: Path, module: ModuleType, constants: Mapping[str, Any]) -> None:
     _give(tree, path, constants)
     module.__file__ = str(path)
     before = sys.modules["__main__"]
-    # # pickle looks for the script's classes by this name.
+    # pickle looks for the script's classes by this name.
     sys.modules["__main__"] = module
     try:
         with _imports_told():
@@ -151,7 +151,7 @@ def _give(tree: ast.Module, path: Path, constants: Mapping[str, Any]) -> None:
     for name, value in constants.items():
         if name not in found:
             raise unknown_name(f"constant of {path.name}", name, found)
-        # # In the tree and not afterwards, so that what is computed from the name follows.
+        # In the tree and not afterwards, so that what is computed from the name follows.
         given = ast.parse(repr(value), mode="eval").body
         found[name].value = ast.copy_location(given, found[name])
     ast.fix_missing_locations(tree)

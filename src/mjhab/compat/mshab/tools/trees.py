@@ -37,7 +37,7 @@ def to_tensor(array: Any, device: Any = None) -> Any:
                 else np.asarray(values)
             )
         found = torch.as_tensor(values)
-        # # As in ManiSkill: scripts give these to networks of float32.
+        # As in ManiSkill: scripts give these to networks of float32.
         if found.dtype == torch.float64:
             found = found.float()
         return found if device is None else found.to(device)
@@ -171,7 +171,7 @@ def compute_angle_between(x1: torch.Tensor, x2: torch.Tensor) -> torch.Tensor:
     """(n,) angles [rad] between vectors (n, 3)."""
     one = torch.nn.functional.normalize(x1, dim=-1)
     two = torch.nn.functional.normalize(x2, dim=-1)
-    # # Rounding can leave the range of a cosine, where the angle is NaN.
+    # Rounding can leave the range of a cosine, where the angle is NaN.
     return torch.arccos((one * two).sum(-1).clamp(-1, 1))
 
 

@@ -150,7 +150,8 @@ def read_arguments(subtask: str, given: Mapping[str, Any]) -> Arguments:
         raise UsageError(
             "randomize_build_configs_per_env=True needs require_build_configs_repeated_equally_across_envs=False."
         )
-    if "reconfiguration_freq" not in given:
+    # Not by its taker: num_envs may stand behind it. The original's default builds one world anew in every reset.
+    if given.get("reconfiguration_freq") is None:
         made.redraws_homes = made.num_envs == 1
     _check_plans(made)
     return made
@@ -290,7 +291,7 @@ def _take_ajar(made: Arguments, value: Any) -> None:
 def _take_reconfiguration(made: Arguments, value: Any) -> None:
     if value is not None:
         check(isinstance(value, int), "reconfiguration_freq", value, "a whole number")
-    made.redraws_homes = made.num_envs == 1 if value is None else bool(value)
+    made.redraws_homes = bool(value)
 
 
 def _take_spawns(made: Arguments, value: Any) -> None:

@@ -102,7 +102,7 @@ class PlanDraw:
             )
         if plans is not None and len(plans) != self._worlds:
             raise wrong_value("task_plan_idxs", plans, f"{self._worlds}, one per world")
-        # # Scripts may still hold the array of the last reset.
+        # Scripts may still hold the array of the last reset.
         self.task_plan_idxs = self.task_plan_idxs.copy()
         return [
             self._row(

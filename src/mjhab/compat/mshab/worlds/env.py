@@ -133,7 +133,7 @@ class MsHabEnv(SceneParts, gymnasium.Env):
         if reconfigure and not whole:
             raise UsageError("reconfigure=True is for all worlds: leave out env_idx.")
         reconfigure = reconfigure or (self.arguments.redraws_homes and whole)
-        # # Scripts that look for "reconfigure" in info see the first homes as new ones.
+        # Scripts that look for "reconfigure" in info see the first homes as new ones.
         reconfigure = reconfigure or not self._ever_reset
         seeds = self._seeds(seed)
         self._begin(begun, seeds, options, reconfigure)
@@ -163,9 +163,9 @@ class MsHabEnv(SceneParts, gymnasium.Env):
                 draw.build(options.get("build_config_idxs"))
             ours["episode"] = draw.rows(begun, options)
             flat, _ = self.worlds.reset(options=ours)
-        # # Views read plans when they are asked for; those of the last episodes are stale now.
+        # Views read plans when they are asked for; those of the last episodes are stale now.
         self._forget_plans()
-        # # A new tensor: info of earlier steps keeps the one that it was given.
+        # A new tensor: info of earlier steps keeps the one that it was given.
         self.elapsed_steps = self.elapsed_steps.masked_fill(mask.to(self.device), 0)
         self._obs = self._reading.read(flat)
 
@@ -214,7 +214,7 @@ class MsHabEnv(SceneParts, gymnasium.Env):
             action = action[None]
         ours = action.detach().cpu().numpy() if self._on_host else action
         flat, reward, *_ = self.worlds.step(ours)
-        # # Not in place: info of the last step holds the same tensor.
+        # Not in place: info of the last step holds the same tensor.
         self.elapsed_steps = self.elapsed_steps + 1
         self._obs = self._reading.read(flat)
         info = self._info()
@@ -241,7 +241,7 @@ class MsHabEnv(SceneParts, gymnasium.Env):
 
     def _info(self, reset: bool = False) -> dict[str, torch.Tensor]:
         worlds = self.worlds
-        # # After a step the outcome counts, which a reset of the worlds themselves would replace.
+        # After a step the outcome counts, which a reset of the worlds themselves would replace.
         signals = worlds.signals if reset else worlds.outcome_signals
         assert signals is not None
         return self._teller().info(signals, self.elapsed_steps)
@@ -276,7 +276,7 @@ def _indices(chosen: Any, worlds: int) -> list[int]:
         indices = np.asarray(listed)
     except ValueError:
         indices = np.zeros(0, object)
-    # # numpy makes an empty list an array of floats.
+    # numpy makes an empty list an array of floats.
     kinds = "iu" if indices.size else "iuf"
     good = indices.ndim == 1 and indices.dtype.kind in kinds
     if not good or not ((indices >= 0) & (indices < worlds)).all():

@@ -61,7 +61,7 @@ def changed_configs(
             is_number = isinstance(getattr(configs[kind], name, None), int | float)
             if is_number and not isinstance(value, int | float):
                 raise wrong_type(f"task_cfgs[{kind!r}][{name!r}]", value, "a number")
-        # # Types are checked first, as the class compares numbers without looking at them.
+        # Types are checked first, as the class compares numbers without looking at them.
         configs[kind].update(values)
         # The rules of the class hold for what was changed, too.
         configs[kind].__post_init__()

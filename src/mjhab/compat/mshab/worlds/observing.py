@@ -39,7 +39,7 @@ class Reading:
             (key, tuple(key.split("/"))) for key in flat.spaces if key != STATE_KEY
         ]
         order = {part: at for at, part in enumerate(PARTS)}
-        # # A flat state vector lays entries side by side, so policies depend on this order.
+        # A flat state vector lays entries side by side, so policies depend on this order.
         self._paths.sort(key=lambda each: order.get(each[1][0], len(PARTS)))
 
     def read(self, obs: Mapping[str, Any]) -> Any:
@@ -59,7 +59,7 @@ class Reading:
                 values = values[:, 0] > 0
             elif name == _SEGMENTS[0]:
                 name = _SEGMENTS[1]
-                # # The type of ManiSkill's pictures of segments.
+                # The type of ManiSkill's pictures of segments.
                 values = values.to(torch.int16)
             place[name] = values
         return tree

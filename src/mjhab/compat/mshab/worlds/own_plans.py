@@ -25,7 +25,7 @@ def own_plan(worlds: TaskLoop, world: int) -> MsHabTaskPlan:
     stem = f"{episode.task}-{name}-{episode.split}-{episode.index}"
     subtasks = []
     for number, subtask in enumerate(plan.subtasks):
-        # # What MS-HAB writes of a subtask depends on those around it in the whole task.
+        # What MS-HAB writes of a subtask depends on those around it in the whole task.
         position = whole.subtasks.index(subtask)
         made = subtask_in_files(worlds.layout, whole, position)
         # MS-HAB has no plan of a drive to an object behind a link that is open.

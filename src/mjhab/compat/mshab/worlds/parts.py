@@ -209,7 +209,7 @@ class SceneParts:
             "robot_cumulative_force": self.robot_cumulative_force,
         }
 
-    # # Reached only for what nothing else has: it says where the answered names are listed.
+    # Reached only for what nothing else has: it says where the answered names are listed.
     def __getattr__(self, name: str) -> Any:
         if name.startswith("_"):
             raise AttributeError(f"{type(self).__name__} has no attribute {name!r}")
@@ -242,7 +242,7 @@ class SceneParts:
             )
         worlds: Any = self.worlds
         shown = worlds.render_worlds(range(worlds.num_envs), HUMAN_VIEW_PX, HUMAN_VIEW_PX)
-        # # torch takes no array with negative strides, as flipped pictures have.
+        # torch takes no array with negative strides, as flipped pictures have.
         return torch.from_numpy(np.ascontiguousarray(shown))
 
 
@@ -252,7 +252,7 @@ def _uids(plan: MsHabTaskPlan) -> tuple[str, ...]:
 
 def _merged(row: tuple[MsHabSubtask, ...]) -> MsHabSubtask:
     """The first of parallel subtasks, with the uids of all of them."""
-    # # A copy, as the plan of world 0 keeps its own uids.
+    # A copy, as the plan of world 0 keeps its own uids.
     shared = copy.copy(row[0])
     shared.composite_subtask_uids = [subtask.uid for subtask in row]
     return shared

@@ -31,7 +31,7 @@ class View:
 
 def single(values: Any) -> torch.Tensor:
     """A float32 copy of an array."""
-    # # Without a copy float32 state would be shared, and change with the next step.
+    # Without a copy float32 state would be shared, and change with the next step.
     return as_tensor(values).to(torch.float32, copy=True)
 
 

@@ -43,7 +43,7 @@ class RecordedFilm:
         """Append a picture (H, W, 3) uint8."""
         if self._writer is None:
             self._folder.mkdir(parents=True, exist_ok=True)
-            # # The name is known only when the film is finished.
+            # The name is known only when the film is finished.
             self._writer = FilmWriter(self._folder / "unfinished.mp4", float(self._fps))
         self._writer.add(picture)
         self.frames += 1
@@ -53,7 +53,7 @@ class RecordedFilm:
         writer = self._writer
         if writer is None:
             return
-        # # The first frame is the start, so one alone is a film without a step.
+        # The first frame is the start, so one alone is a film without a step.
         if save and self.frames > 1:
             writer.path = self._path(name, suffix)
             writer.close()

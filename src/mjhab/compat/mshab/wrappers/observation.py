@@ -28,7 +28,7 @@ class _Shown(ForwardingWrapper):
     def _take_space(self) -> None:
         """Set the spaces of the environment below to those of this wrapper's observations."""
         base: Any = self.env.unwrapped
-        # # Agents read the space of the lowest environment, whatever wrappers are around it.
+        # Agents read the space of the lowest environment, whatever wrappers are around it.
         base.update_obs_space(self._of_blank(to_tensor(base._init_raw_obs)))
 
     def _of_blank(self, blank: Any) -> Any:
@@ -171,7 +171,7 @@ def _with_rows(kept: Any, first: Any, rows: Any) -> Any:
     """A frame with the rows of worlds that begin an episode replaced by their first frame."""
     if isinstance(kept, Mapping):
         return {key: _with_rows(kept[key], first[key], rows) for key in kept}
-    # # The stack of the last step may share the frame's memory.
+    # The stack of the last step may share the frame's memory.
     changed = kept.clone()
     changed[rows] = first[rows]
     return changed

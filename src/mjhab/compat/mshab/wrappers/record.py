@@ -155,7 +155,7 @@ class RecordEpisode(ForwardingWrapper):
             np.arange(self.num_envs) if chosen is None else np.asarray(to_numpy(chosen))
         )
         if self.save_on_reset:
-            # # With several worlds a film spans the episodes of all, and ends by its length.
+            # With several worlds a film spans the episodes of all, and ends by its length.
             if self.num_envs == 1:
                 self.flush_video()
             if self._steps:
@@ -169,7 +169,7 @@ class RecordEpisode(ForwardingWrapper):
     def step(self, action: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
         """One control step."""
         filmed = self.save_video
-        # # A film begins with the state before its first step.
+        # A film begins with the state before its first step.
         if filmed and not self._film.frames:
             self._film.add(self._picture(self._first_info))
         obs, reward, terminated, truncated, info = self.env.step(action)
@@ -214,7 +214,7 @@ class RecordEpisode(ForwardingWrapper):
             self._steps = [first]
         self._begun[begun] = len(self._steps) - 1
         oldest = int(self._begun.min())
-        # # Steps before the oldest episode that still runs are written, and would fill the memory.
+        # Steps before the oldest episode that still runs are written, and would fill the memory.
         del self._steps[:oldest]
         self._begun -= oldest
 
@@ -290,7 +290,7 @@ class RecordEpisode(ForwardingWrapper):
                     for world, image in enumerate(images)
                 ]
             )
-        # # About as many rows as columns, as ManiSkill tiles its worlds.
+        # About as many rows as columns, as ManiSkill tiles its worlds.
         return tile_images(images, nrows=int(np.sqrt(self.num_envs)))
 
     def close(self) -> None:
@@ -310,7 +310,7 @@ class RecordEpisode(ForwardingWrapper):
 
 def _rows(values: Any) -> np.ndarray:
     """A copy (W, ...) on the host."""
-    # # A copy: worlds on the host write into the same arrays in the next step.
+    # A copy: worlds on the host write into the same arrays in the next step.
     return np.array(to_numpy(values))
 
 

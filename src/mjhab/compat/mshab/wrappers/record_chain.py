@@ -61,5 +61,5 @@ class RecordEpisodeSequentialTask(RecordEpisode):
         least = {"any": 0, "success": len(self.base_env.task_plan)}
         if max(finished) < least.get(self.demo_filter, self.min_success_subtasks or 0):
             return 0
-        # # argmax gives the first of equal values: the step in which the last subtask was finished.
+        # argmax gives the first of equal values: the step in which the last subtask was finished.
         return int(np.argmax(finished))

@@ -114,7 +114,7 @@ class VectorRecordEpisodeStatistics(VectorWrapper):
         self.episode_success_onces = self.episode_success_onces | success
         self._before_fail = self._before_fail | (success & ~self._failed)
         self._failed = self._failed | last["fail"]
-        # # Figures of the vector environment below have the same name and other contents.
+        # Figures of the vector environment below have the same name and other contents.
         info.pop("episode", None)
         info.pop("_episode", None)
         if any_done:
@@ -143,7 +143,7 @@ class VectorRecordEpisodeStatistics(VectorWrapper):
         for name, queue in queues.items():
             queue.extend(told[name][done])
         for key, rows in self._kept.items():
-            # # The rows are written over by the next episodes.
+            # The rows are written over by the next episodes.
             self.extra_stats[key].extend(rows[done].clone())
         self.episode_count += int(done.sum())
         masked = {name: values.masked_fill(~done, 0) for name, values in told.items()}

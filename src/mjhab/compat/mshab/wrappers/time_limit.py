@@ -18,7 +18,7 @@ class TimeLimitWrapper(gymnasium.Wrapper):
     """
 
     def __init__(self, env: gymnasium.Env, max_episode_steps: int | None = None) -> None:
-        # # gymnasium.make may have put its own around, which counts one world only.
+        # gymnasium.make may have put its own around, which counts one world only.
         if isinstance(env, TimeLimit):
             if max_episode_steps is None:
                 max_episode_steps = env._max_episode_steps

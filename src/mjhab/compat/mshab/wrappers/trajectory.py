@@ -69,7 +69,7 @@ class TrajectoryFile:
             with_info: whether "told", `info` from the start on, is written as a group "info".
         """
         number = len(self.episodes)
-        # # h5py would list members by name; readers lay the state out in the order of writing.
+        # h5py would list members by name; readers lay the state out in the order of writing.
         group = self._file.create_group(f"{TRAJECTORY}{number}", track_order=True)
         _put(group, "obs", arrays["obs"])
         group["actions"] = arrays["action"].astype(np.float32)
@@ -95,7 +95,7 @@ class TrajectoryFile:
                 continue
             number = len(kept)
             if number != episode["episode_id"]:
-                # # Readers count from 0 without gaps.
+                # Readers count from 0 without gaps.
                 self._file.move(name, f"{TRAJECTORY}{number}")
             kept.append({**episode, "episode_id": number})
         self.episodes = kept

@@ -90,7 +90,7 @@ class ManiSkillVectorEnv(VectorEnv):
             slice(None) if options is None else options.get("env_idx", slice(None))
         )
         for name, once in self._once.items():
-            # # info of earlier steps holds the tensor that is changed here.
+            # info of earlier steps holds the tensor that is changed here.
             self._once[name] = once.clone()
             self._once[name][begun] = False
         self._returns = self._returns.clone()
@@ -151,7 +151,7 @@ def find_max_episode_steps_value(env: Any) -> int | None:
     """Control steps after which time ends an episode of an environment in its wrappers; None if it does not."""
     at = env._env if isinstance(env, ManiSkillVectorEnv) else env
     while at is not None:
-        # # vars, because getattr would be passed on to what lies below.
+        # vars, because getattr would be passed on to what lies below.
         limit = vars(at).get("_max_episode_steps") or vars(at).get("max_episode_steps")
         if limit is not None:
             return limit

@@ -13,7 +13,7 @@ import numpy as np
 import tyro
 
 from benchmarks.command import run_command
-from mjhab.cli.output import print_json, print_table
+from mjhab.cli.output import listing_of, report
 from mjhab.learning.observation.backbone import Backbone
 
 
@@ -61,10 +61,7 @@ def measure(spec: BackboneCostSpec) -> list[dict[str, Any]]:
 
 def _work(spec: BackboneCostSpec) -> int:
     rows = measure(spec)
-    if spec.json:
-        print_json({"rows": rows})
-    else:
-        print_table("Backbones", tuple(rows[0]), [[*row.values()] for row in rows])
+    report(spec.json, {"rows": rows}, listing_of("Backbones", rows))
     return 0
 
 

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.command import run_command
-from mjhab.cli.output import print_json, print_table
+from mjhab.cli.output import Listing, report
 from mjhab.core.files.cache import write_text
 from mjhab.core.files.interrupts import sigterm_interrupts
 from mjhab.learning.reinforcement.specs import PpoSpec
@@ -131,19 +131,14 @@ def bench_curves(spec: CurvesSpec) -> int:
     except KeyboardInterrupt:
         print("mjhab: interrupted. The same command goes on.", file=sys.stderr)
         return 130
-    if spec.json:
-        print_json({"runs": found, "file": str(spec.out / RESULT)})
-        return 0
     columns = [f"samples to {100 * level:.0f} %" for level in LEVELS]
     rows = []
     for name, run in found.items():
         reached = [run["samples_to"][str(level)] or "not reached" for level in LEVELS]
         rows.append((name, *reached, f"{100 * run['curve'][-1][1]:.0f}"))
-    print_table(
-        "PPO, set_table close drawer, success once",
-        ("run", *columns, "at the end [%]"),
-        rows,
-    )
+    title = "PPO, set_table close drawer, success once"
+    table = Listing(title, ("run", *columns, "at the end [%]"), rows)
+    report(spec.json, {"runs": found, "file": str(spec.out / RESULT)}, table)
     return 0
 
 

@@ -15,7 +15,7 @@ import mujoco
 import numpy as np
 
 from benchmarks.command import run_command
-from mjhab.cli.output import print_json, print_table
+from mjhab.cli.output import listing_of, report
 from mjhab.core.errors import unknown_name
 from mjhab.core.joints import BASE, BASE_YAW
 from mjhab.core.names import copy_name
@@ -245,15 +245,8 @@ def _shake(robot: Robot, name: str, seconds: float, seed: int) -> dict[str, obje
 def bench_grasp(spec: GraspSpec) -> int:
     """Print how far objects slip in the moving gripper; returns 1 if one is dropped."""
     rows = grasp_table(seconds=spec.seconds, seed=spec.seed, robot=spec.robot)
-    if spec.json:
-        print_json({"grasps": rows})
-    else:
-        columns = list(rows[0])
-        print_table(
-            f"{spec.seconds:g} s of base and arm motion",
-            columns,
-            [[row[key] for key in columns] for row in rows],
-        )
+    title = f"{spec.seconds:g} s of base and arm motion"
+    report(spec.json, {"grasps": rows}, listing_of(title, rows))
     return 1 if any(row["dropped"] for row in rows) else 0
 
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from benchmarks.command import run_command
-from mjhab.cli.output import print_json, print_table
+from mjhab.cli.output import listing_of, report
 from mjhab.integrations.rlinf import RLinfEnv
 
 STARTS = 24
@@ -75,10 +75,7 @@ def measure(spec: GroupSpec) -> list[dict[str, Any]]:
 
 def _work(spec: GroupSpec) -> int:
     rows = measure(spec)
-    if spec.json:
-        print_json({"rows": rows})
-    else:
-        print_table("Resets of groups", tuple(rows[0]), [[*row.values()] for row in rows])
+    report(spec.json, {"rows": rows}, listing_of("Resets of groups", rows))
     return 0
 
 

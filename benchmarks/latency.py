@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.command import run_command
-from mjhab.cli.output import print_json, print_table
+from mjhab.cli.output import Listing, report
 from mjhab.core.files.cache import write_text
 from mjhab.evaluation.evaluate import run_evaluation
 from mjhab.evaluation.resolve import PolicyOptions
@@ -170,9 +170,6 @@ def page(found: dict[str, Any]) -> str:
 def run(spec: LatencySpec) -> int:
     """Measure, and print what was found; returns 0."""
     found = measure(spec)
-    if spec.json:
-        print_json(found)
-        return 0
     rows = [
         (
             row["meanwhile"],
@@ -182,9 +179,8 @@ def run(spec: LatencySpec) -> int:
         )
         for row in found["rows"]
     ]
-    print_table(
-        "Success by latency", ("meanwhile", "ms", "success once %", "late steps"), rows
-    )
+    columns = ("meanwhile", "ms", "success once %", "late steps")
+    report(spec.json, found, Listing("Success by latency", columns, rows))
     return 0
 
 

@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from benchmarks.command import run_command
-from mjhab.cli.output import print_json, print_table
+from mjhab.cli.output import Listing, report
 from mjhab.core.errors import UsageError
 from mjhab.core.machine import cores
 from mjhab.learning.observation.spec import ObservationSpec, observation_spec_of
@@ -208,9 +208,6 @@ def bench_learner(spec: LearnerSpec) -> int:
     if not spec.batches:
         raise UsageError("--batches: give at least one size, for instance --batches 256.")
     found = measure_learner(spec)
-    if spec.json:
-        print_json(found)
-        return 0
     ppo = found["ppo"]
     names = {
         "ppo_sps": "PPO from states [control steps/s]",
@@ -221,12 +218,12 @@ def bench_learner(spec: LearnerSpec) -> int:
     }
     rows = [(text, ppo[name]) for name, text in names.items()]
     title = f"PPO, {ppo['worlds']} worlds, {found['threads']} threads"
-    print_table(title, ("what", "value"), rows)
-    columns = ("inputs", "batch", "updates_per_second")
-    print_table(
-        "SAC",
-        ("inputs", "batch", "updates/s"),
-        [[row[column] for column in columns] for row in found["sac"]],
+    updates = [list(row.values()) for row in found["sac"]]
+    report(
+        spec.json,
+        found,
+        Listing(title, ("what", "value"), rows),
+        Listing("SAC", ("inputs", "batch", "updates/s"), updates),
     )
     return 0
 

@@ -13,7 +13,7 @@ from typing import Any
 
 from benchmarks.command import run_command
 from benchmarks.peers_worker import PEERS, SIDE
-from mjhab.cli.output import print_json, print_table
+from mjhab.cli.output import Listing, report
 from mjhab.core.files.reading import reason
 from mjhab.core.version import __version__
 
@@ -130,17 +130,14 @@ def _theirs(spec: PeersSpec, name: str) -> dict[str, Any] | str:
 def run(spec: PeersSpec) -> int:
     """Run the benchmark."""
     found = measure(spec)
-    if spec.json:
-        print_json(found)
-        return 0
     columns = ("environment", "version", "control steps/s", "images/s")
     cells = [
         (row["name"], row["version"], row["steps_per_s"], row["images_per_s"] or "-")
         for row in found["rows"]
     ]
-    print_table("Random actions, one machine, the same minutes", columns, cells)
-    for name, why in found["missing"].items():
-        print(f"{name}: not measured ({why})")
+    title = "Random actions, one machine, the same minutes"
+    left_out = (f"{name}: not measured ({why})" for name, why in found["missing"].items())
+    report(spec.json, found, Listing(title, columns, cells), *left_out)
     return 0
 
 

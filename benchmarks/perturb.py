@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.command import run_command
-from mjhab.cli.output import print_json, print_table
+from mjhab.cli.output import Listing, report
 from mjhab.config.perturbing import AXES
 from mjhab.envs import make_train
 
@@ -97,15 +97,13 @@ def measure(spec: PerturbSpec) -> dict[str, Any]:
 def run(spec: PerturbSpec) -> int:
     """Measure and print; returns 0."""
     found = measure(spec)
-    if spec.json:
-        print_json(found)
-        return 0
     rows = [
         (axis, row["step_ms"], f"{100 * row['slower']:+.1f} %", row["reset_ms"])
         for axis, row in found["axes"].items()
     ]
     columns = ("axis", "step [ms]", "slower by", "reset of a world [ms]")
-    print_table(f"{spec.worlds} worlds, {spec.obs} {spec.size} px", columns, rows)
+    title = f"{spec.worlds} worlds, {spec.obs} {spec.size} px"
+    report(spec.json, found, Listing(title, columns, rows))
     return 0
 
 

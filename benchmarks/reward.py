@@ -13,7 +13,7 @@ from scipy.stats import rankdata
 
 from benchmarks.command import run_command
 from benchmarks.profile_choice import ProfileChoice, profile_options
-from mjhab.cli.output import print_json, print_table
+from mjhab.cli.output import Listing, report
 from mjhab.core.errors import unknown_name
 from mjhab.core.files.cache import write_text
 from mjhab.core.files.outputs import check_folder
@@ -234,15 +234,16 @@ def bench_reward(spec: RewardSpec) -> int:
     """Print and write the results of `measure_rewards`."""
     check_folder(spec.out)
     found = measure_rewards(spec)
-    report = spec.out / REPORT
-    if spec.json:
-        print_json({"profile": spec.profile, "subtasks": found, "report": str(report)})
-        return 0
+    page = spec.out / REPORT
     columns = list(next(iter(found.values())))
     rows = [[kind, *(numbers[c] for c in columns)] for kind, numbers in found.items()]
     title = f"normalised dense reward, profile {spec.profile}"
-    print_table(title, ("subtask", *columns), rows)
-    print(f"Curves: {report}")
+    report(
+        spec.json,
+        {"profile": spec.profile, "subtasks": found, "report": str(page)},
+        Listing(title, ("subtask", *columns), rows),
+        f"Curves: {page}",
+    )
     return 0
 
 

@@ -13,7 +13,7 @@ from scipy.optimize import nnls
 
 from benchmarks.command import run_command
 from benchmarks.sim import SimSpec, measure_engine
-from mjhab.cli.output import print_json, print_table
+from mjhab.cli.output import Listing, report
 from mjhab.core.errors import UsageError
 from mjhab.core.machine import cores
 from mjhab.robots.registry import DEFAULT_ROBOT
@@ -167,24 +167,25 @@ def bench_scaling(spec: ScalingSpec) -> int:
             f"{cells} combinations of --worlds and --threads; at most {MAX_CELLS}."
         )
     found = measure_scaling(spec, _print_progress)
-    if spec.json:
-        print_json(found)
-        return 0
     names = ("threads", "worlds", "engine_sps", "env_sps", "ratio")
-    print_table(
-        f"{spec.task}, {spec.robot}, control steps/s over all worlds",
-        ("threads", "worlds", "engine", "environment", "environment / engine"),
-        [[row[name] for name in names] for row in found["rows"]],
-    )
-    print_table(
-        "Time of a vector step [microseconds]: fixed + worlds x (serial + parallel / threads)",
-        ("what", "fixed", "serial", "parallel", "largest error"),
-        [(name, *found["models"][name].values()) for name in MEASURED],
-    )
-    print_table(
-        "Predicted from it, not measured: control steps/s",
-        ("cores", "worlds", "engine", "environment"),
-        [tuple(row.values()) for row in found["predicted"]],
+    report(
+        spec.json,
+        found,
+        Listing(
+            f"{spec.task}, {spec.robot}, control steps/s over all worlds",
+            ("threads", "worlds", "engine", "environment", "environment / engine"),
+            [[row[name] for name in names] for row in found["rows"]],
+        ),
+        Listing(
+            "Time of a vector step [microseconds]: fixed + worlds x (serial + parallel / threads)",
+            ("what", "fixed", "serial", "parallel", "largest error"),
+            [(name, *found["models"][name].values()) for name in MEASURED],
+        ),
+        Listing(
+            "Predicted from it, not measured: control steps/s",
+            ("cores", "worlds", "engine", "environment"),
+            [tuple(row.values()) for row in found["predicted"]],
+        ),
     )
     return 0
 

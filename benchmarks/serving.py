@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.command import run_command
-from mjhab.cli.output import print_json, print_table
+from mjhab.cli.output import Listing, report
 from mjhab.evaluation.resolve import resolve_policy
 from mjhab.robots.registry import DEFAULT_ROBOT
 from mjhab.rollout.loop import rollout
@@ -243,17 +243,15 @@ def measure_restarts(spec: ServingSpec) -> dict[str, Any]:
 def bench_serving(spec: ServingSpec) -> int:
     """Print request latencies and results of episodes; returns 1 if an episode was lost or requests are too slow."""
     found = measure_serving(spec)
-    if spec.json:
-        print_json(found)
-    else:
-        rows = [
-            (name, cost["p50"], cost["p99"]) for name, cost in found["requests"].items()
-        ]
-        title = f"A request with two images of {IMAGE_SIZE_PX} px [ms]"
-        print_table(title, ("dialect", "median", "99 %"), rows)
-        print_table(
-            "A server that is killed", ("what", "value"), list(found["restarted"].items())
-        )
+    rows = [(name, cost["p50"], cost["p99"]) for name, cost in found["requests"].items()]
+    title = f"A request with two images of {IMAGE_SIZE_PX} px [ms]"
+    killed = list(found["restarted"].items())
+    report(
+        spec.json,
+        found,
+        Listing(title, ("dialect", "median", "99 %"), rows),
+        Listing("A server that is killed", ("what", "value"), killed),
+    )
     return 1 if found["lost"] or found["slowest_ms"] > MAX_ADDED_MS else 0
 
 

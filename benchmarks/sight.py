@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.command import run_command
-from mjhab.cli.output import print_json, print_table
+from mjhab.cli.output import Listing, report
 from mjhab.evaluation.evaluate import run_evaluation
 from mjhab.evaluation.filming import scene_of
 from mjhab.evaluation.specs import EvalSpec
@@ -127,9 +127,6 @@ def measure(spec: SightSpec) -> dict[str, Any]:
 def run(spec: SightSpec) -> int:
     """Measure and print; returns 0."""
     found = measure(spec)
-    if spec.json:
-        print_json(found)
-        return 0
     cameras = list(found["rows"][0]["seen"])
     seen = (f"{name} sees %" for name in cameras)
     rows = [
@@ -143,7 +140,8 @@ def run(spec: SightSpec) -> int:
         for row in found["rows"]
     ]
     title = f"What the cameras see of the target, {found['task']}"
-    print_table(title, ("subtask", "look", *seen, "success %", "steps"), rows)
+    columns = ("subtask", "look", *seen, "success %", "steps")
+    report(spec.json, found, Listing(title, columns, rows))
     return 0
 
 

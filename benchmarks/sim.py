@@ -9,7 +9,7 @@ from typing import Any
 
 from benchmarks.command import run_command
 from mjhab.bench.environments.speed import measure_sps
-from mjhab.cli.output import print_json, print_table
+from mjhab.cli.output import Listing, report
 from mjhab.core.machine import cores
 from mjhab.robots.registry import DEFAULT_ROBOT
 from mjhab.tasks.household.registry import TASKS
@@ -64,9 +64,6 @@ def measure_engine(spec: SimSpec) -> dict[str, Any]:
 def bench_sim(spec: SimSpec) -> int:
     """Print control steps/s of the engine and of the environment, measured in the same run."""
     result = measure_engine(spec)
-    if spec.json:
-        print_json(result)
-        return 0
     rows = [
         ("bare engine", result["engine_sps"]),
         ("env.step without cameras", result["env_sps"]),
@@ -74,10 +71,12 @@ def bench_sim(spec: SimSpec) -> int:
     title = (
         f"{spec.task}, {spec.robot}, {spec.worlds} worlds, {result['threads']} threads"
     )
-    print_table(title, ("what", "control steps/s over all worlds"), rows)
-    print(
+    report(
+        spec.json,
+        result,
+        Listing(title, ("what", "control steps/s over all worlds"), rows),
         f"the environment runs at {100 * result['ratio']:.0f} % of the bare engine; "
-        f"resetting a world takes {result['reset_ms']:.1f} ms"
+        f"resetting a world takes {result['reset_ms']:.1f} ms",
     )
     return 0
 

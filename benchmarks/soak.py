@@ -17,7 +17,7 @@ import numpy as np
 
 from benchmarks.command import run_command
 from benchmarks.profile_choice import ProfileChoice, profile_options
-from mjhab.cli.output import print_json, print_table
+from mjhab.cli.output import Listing, report
 from mjhab.core.errors import UsageError
 from mjhab.core.files.cache import write_text
 from mjhab.core.files.outputs import check_folder
@@ -294,24 +294,19 @@ def bench_soak(spec: SoakSpec) -> int:
         name = "generation with the expert" if spec.generate else "random actions"
         write_text(spec.out / RESULTS, json.dumps(found, indent=1) + "\n")
         write_text(spec.out / PICTURE, memory_picture({name: found}))
-    if spec.json:
-        print_json(found)
-    else:
-        _print(found)
-    return 0 if found["ok"] else 1
-
-
-def _print(found: dict[str, Any]) -> None:
     rows = [
         (k, ", ".join(f"{n} {c}" for n, c in v.items()) if isinstance(v, dict) else v)
         for k, v in found.items()
         if k != "curve"
     ]
-    print_table("Memory over a long time", ("what", "value"), rows)
-    print(
+    report(
+        spec.json,
+        found,
+        Listing("Memory over a long time", ("what", "value"), rows),
         f"Memory changed by {100 * found['growth_second_half']:+.1f} % over the second half; "
-        f"{100 * MAX_GROWTH:.0f} % are allowed."
+        f"{100 * MAX_GROWTH:.0f} % are allowed.",
     )
+    return 0 if found["ok"] else 1
 
 
 def main(words: Sequence[str] | None = None) -> int:

@@ -10,7 +10,7 @@ from typing import Any
 
 from benchmarks.command import run_command
 from benchmarks.profile_choice import ProfileChoice, resolved_profile
-from mjhab.cli.output import print_json, print_table
+from mjhab.cli.output import Listing, report
 from mjhab.core.machine import cores
 from mjhab.robots.registry import DEFAULT_ROBOT
 
@@ -44,9 +44,6 @@ class SpawnSpec(ProfileChoice):
 def bench_spawn(spec: SpawnSpec) -> int:
     """Print the results of `measure_spawns`."""
     found = measure_spawns(spec)
-    if spec.json:
-        print_json(found)
-        return 0
     rows = [
         ("starts per second", found["spawns_per_s"]),
         ("tries per start", found["tries_mean"]),
@@ -56,7 +53,7 @@ def bench_spawn(spec: SpawnSpec) -> int:
     title = (
         f"{spec.task} {spec.subtask}, {found['count']} starts, {found['threads']} threads"
     )
-    print_table(title, ("what", "value"), rows)
+    report(spec.json, found, Listing(title, ("what", "value"), rows))
     return 0
 
 

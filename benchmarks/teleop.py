@@ -13,7 +13,7 @@ import numpy as np
 
 import mjhab
 from benchmarks.command import run_command
-from mjhab.cli.output import print_json, print_table
+from mjhab.cli.output import listing_of, report
 from mjhab.core.files.cache import write_text
 from mjhab.core.rotations import wrap
 from mjhab.data.store.places import episodes
@@ -247,10 +247,7 @@ def _measured(spec: TeleopSpec, subtask: str) -> dict[str, Any]:
 def run(spec: TeleopSpec) -> int:
     """Measure and print; returns 0."""
     rows = measure(spec)
-    if spec.json:
-        print_json({"rows": rows})
-    else:
-        print_table("teleoperation", list(rows[0]), [list(row.values()) for row in rows])
+    report(spec.json, {"rows": rows}, listing_of("teleoperation", rows))
     return 0
 
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from benchmarks.command import run_command
-from mjhab.cli.output import print_json, print_table
+from mjhab.cli.output import Listing, report
 from mjhab.core.errors import MjhabError, UsageError
 from mjhab.evaluation.evaluate import EvalSpec
 from mjhab.evaluation.resolve import inspect_policy
@@ -151,12 +151,9 @@ def _rates(
 def bench_view(spec: ViewSpec) -> int:
     """Print a row per number of worlds; returns 1 if the frame rate of a single world is too low."""
     found = measure_view(spec)
-    if spec.json:
-        print_json(found)
-    else:
-        rows = [(worlds, *numbers.values()) for worlds, numbers in found.items()]
-        columns = [name.replace("_", " ") for name in next(iter(found.values()))]
-        print_table("The viewer", ("worlds", *columns), rows)
+    rows = [(worlds, *numbers.values()) for worlds, numbers in found.items()]
+    columns = [name.replace("_", " ") for name in next(iter(found.values()))]
+    report(spec.json, found, Listing("The viewer", ("worlds", *columns), rows))
     single = found.get("1")
     return 1 if single is not None and single["frames_per_s"] < MIN_FRAMES_PER_S else 0
 

@@ -13,7 +13,7 @@ import numpy as np
 import tyro
 
 from benchmarks.command import run_command
-from mjhab.cli.output import print_json, print_table
+from mjhab.cli.output import Listing, report
 from mjhab.core.errors import UsageError
 from mjhab.data.select.sets import nothing_passes
 from mjhab.data.store.places import episodes
@@ -112,9 +112,6 @@ def bench_windows(spec: WindowsSpec) -> int:
             f"--seconds must be above 0 and at most 3600, got {spec.seconds}."
         )
     found = measure_windows(spec)
-    if spec.json:
-        print_json(found)
-        return 0
     rows = [
         (name, f"{found[key]['per_s']:,.0f}", f"{found[key]['per_cpu_s']:,.0f}")
         for name, key in (
@@ -123,7 +120,8 @@ def bench_windows(spec: WindowsSpec) -> int:
         )
     ]
     title = f"{found['windows']:,} windows of {found['bytes_per_window']:,} bytes: {', '.join(found['images'])}"
-    print_table(title, ("pass", "windows/s", "windows per second of CPU"), rows)
+    columns = ("pass", "windows/s", "windows per second of CPU")
+    report(spec.json, found, Listing(title, columns, rows))
     return 0
 
 

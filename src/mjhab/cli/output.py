@@ -42,6 +42,11 @@ class Listing(NamedTuple):
     rows: Iterable[Sequence[object]]
 
 
+def listing_of(title: str, rows: Sequence[Mapping[str, Any]]) -> Listing:
+    """A table of rows that have the same names, which are its columns."""
+    return Listing(title, list(rows[0]), [list(row.values()) for row in rows])
+
+
 def report(json: bool, facts: Mapping[str, Any], *parts: Listing | str | None) -> None:
     """Print the result of a command: ``facts`` as one line of JSON for machines, or the parts for people.
 

@@ -48,8 +48,9 @@ demo-student: $(VENV)/.learn  ## a learned policy opens a drawer; films in runs/
 	@echo "Open in a browser (no network needed): $(CURDIR)/$(DEMO_STUDENT_OUT)/report.html"
 
 test: $(VENV)/.dev  ## the whole test suite, with the slowest tests listed at the end
-	@# Kernels are compiled before several pytest workers could write their caches at the same time.
-	$(BIN)/mjhab warmup --task set_table
+	@# Kernels are compiled before several pytest workers could do so at the same time; those of Warp for the device of
+	@# the tests, which take more than two minutes.
+	$(BIN)/mjhab warmup --task set_table --backend warp --device $${MJHAB_TEST_DEVICE:-cpu}
 	$(BIN)/python -m pytest --durations=15 --durations-min=0.5 $(PYTEST_ARGS)
 
 UNIT_TESTS := tests/core tests/tasks tests/rollout tests/reports tests/serving

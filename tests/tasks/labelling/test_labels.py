@@ -48,13 +48,6 @@ def any_history(draw: st.DrawFn) -> History:
     return History(**dict(zip(HISTORY_FIELDS, bits, strict=True)))
 
 
-@st.composite
-def real_history(draw: st.DrawFn, kind: int) -> History:
-    """Signals of many worlds that measure could give."""
-    rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
-    return random_history(rng, kind, draw(st.integers(2, 12)), 32)
-
-
 def expected_label(kind: int, h: History) -> str:
     """The decision lists once more, read off naively, for one world."""
     g, a, s = (getattr(h, n)[:, 0].tolist() for n in ("is_grasped", "at_goal", "success"))
@@ -231,63 +224,6 @@ def test_example(kind: int, name: str) -> None:
     assert labels_of(kind, EXAMPLES[kind, name]) == [name]
 
 
-RELEVANT: dict[int, set[str]] = {
-    0: {"is_grasped", "ee_contact"},
-    1: {"is_grasped", "at_goal"},
-    2: {"is_grasped", "must_hold"},
-    3: {"opened", "slightly_opened", "ee_contact"},
-    4: {"closed", "slightly_closed", "ee_contact"},
-}
-
-
-@pytest.mark.parametrize("kind", KINDS)
-@settings(max_examples=60, deadline=None)
-@given(data=st.data())
-def test_a_label_depends_on_its_signals_only(
-    kind: SubtaskKind, data: st.DataObject
-) -> None:
-    record = data.draw(real_history(kind))
-    other = None
-    rng = np.random.default_rng(data.draw(st.integers(0, 1000)))
-    other = {
-        name: rng.random(record.success.shape) < 0.5
-        for name in HISTORY_FIELDS
-        if name not in RELEVANT[kind] | {"success", "force_ok"}
-    }
-    assert labels_of(kind, record) == labels_of(kind, replace(record, **other))
-
-
-@settings(max_examples=100, deadline=None)
-@given(data=st.data())
-def test_contact_flicker_never_changes_a_pick_label(data: st.DataObject) -> None:
-    record = data.draw(real_history(SubtaskKind.PICK))
-    flicker = (
-        np.random.default_rng(data.draw(st.integers(0, 1000))).random(
-            record.contact.shape
-        )
-        < 0.5
-    )
-    # Contact comes and goes after the first one, as while the fingers slide along the object.
-    touched = np.maximum.accumulate(
-        np.asarray(record.ee_contact | record.is_grasped), axis=0
-    )
-    first = touched & ~np.roll(touched, 1, axis=0)
-    first[0] = touched[0]
-    other = replace(
-        record, ee_contact=touched & (first | flicker), touch=flicker, contact=flicker
-    )
-    assert labels_of(0, record) == labels_of(0, other)
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_a_touch_by_another_link_than_the_end_effector_reaches_nothing(
-    kind: SubtaskKind,
-) -> None:
-    elbow = history(touch="0111")
-    nothing = history(steps=4)
-    assert labels_of(kind, elbow) == labels_of(kind, nothing)
-
-
 def test_a_row_of_a_version_without_ee_contact_takes_it_from_touch() -> None:
     record = random_history(np.random.default_rng(3), SubtaskKind.PICK, 6, 40)
     state = fold(replace(record, ee_contact=record.touch))
@@ -302,32 +238,6 @@ def test_a_row_of_a_version_without_ee_contact_takes_it_from_touch() -> None:
         again = get_row(set_row(state, 0, old), 0)
         for name, values in whole.items():
             np.testing.assert_array_equal(again[name], values, err_msg=name)
-
-
-@settings(max_examples=100, deadline=None)
-@given(data=st.data())
-def test_straightforward_means_no_release(data: st.DataObject) -> None:
-    record = data.draw(real_history(SubtaskKind.PICK))
-    names = np.array(labels_of(0, record))
-    released = (record.is_grasped[:-1] & ~record.is_grasped[1:]).any(axis=0)
-    assert not released[names == "straightforward_success"].any()
-    assert record.is_grasped[-1][names == "straightforward_success"].all()
-
-
-@settings(max_examples=100, deadline=None)
-@given(data=st.data())
-def test_placed_in_goal_means_at_the_goal_at_the_last_release_and_at_the_end(
-    data: st.DataObject,
-) -> None:
-    record = data.draw(real_history(SubtaskKind.PLACE))
-    for w, name in enumerate(labels_of(1, record)):
-        if name != "placed_in_goal_success":
-            continue
-        g = record.is_grasped[:, w]
-        a = record.at_goal[:, w]
-        releases = np.flatnonzero(g[:-1] & ~g[1:]) + 1
-        assert a[-1]
-        assert a[releases[-1]] if releases.size else a[0]
 
 
 @pytest.mark.parametrize("kind", KINDS)

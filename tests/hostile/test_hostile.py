@@ -9,7 +9,6 @@ import pwd
 import random
 import subprocess
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -32,15 +31,7 @@ from tests.hostile.readers import READERS
 from tests.refusals import refused
 
 
-def sampled() -> Iterator[Case]:
-    """All cases, but of those that go through the parser of the command line, which takes its time, every seventh;
-    ranges of options and places to write to are checked for all commands below, `count` runs all."""
-    for number, case in enumerate(cases()):
-        if case.group not in ("option", "place") or number % 7 == 0:
-            yield case
-
-
-@pytest.mark.parametrize("case", list(sampled()), ids=str)
+@pytest.mark.parametrize("case", list(cases()), ids=str)
 def test_it_is_refused(case: Case, tmp_path: Path):
     assert outcome(case, tmp_path) == "clean"
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+
 import mujoco
 import numpy as np
 from scipy.spatial import ConvexHull
@@ -177,7 +179,13 @@ def _add_object(
     body = spec.worldbody.add_body(name=name, pos=pose[:3], quat=pose[3:])
     body.add_freejoint(name=name)
     affinity = contact_bits.OBJECT_AFFINITY
-    density = kind.mass / ordered_sum(volume(g, spec) for g in kind.collision)
+    # A bowl has 24 pieces of two meshes.
+    pieces = {_mesh_name(g): g for g in kind.collision if g.shape == "mesh"}
+    of_mesh = {mesh: volume(piece, spec) for mesh, piece in pieces.items()}
+    density = kind.mass / ordered_sum(
+        of_mesh[_mesh_name(g)] if g.shape == "mesh" else volume(g, spec)
+        for g in kind.collision
+    )
     for i, geom in enumerate(kind.collision):
         added = _add_geom(
             body,
@@ -214,9 +222,14 @@ def volume(geom: Geom, spec: mujoco.MjSpec | None) -> float:
         raise ValueError(
             f"links of articulations are made of primitives, got mesh {geom.mesh!r}"
         )
-    return float(
-        ConvexHull(np.asarray(spec.mesh(_mesh_name(geom)).uservert).reshape(-1, 3)).volume
-    )
+    vertices = np.asarray(spec.mesh(_mesh_name(geom)).uservert, np.float64)
+    return _hull_volume(vertices.tobytes())
+
+
+@functools.lru_cache(maxsize=64)
+def _hull_volume(vertices: bytes) -> float:
+    """Volume [m^3] of the convex hull of float64 vertices (V, 3); all homes of a layout have the same objects."""
+    return float(ConvexHull(np.frombuffer(vertices).reshape(-1, 3)).volume)
 
 
 def _add_sensors(spec: mujoco.MjSpec, layout: Layout) -> None:

@@ -76,9 +76,7 @@ def stage(monkeypatch: pytest.MonkeyPatch) -> Stage:
     stage = Stage()
     monkeypatch.setattr(evaluate, "make_env", stage.make_env)
     # A camera that looks for hand and target needs the robot, which the stand-in lacks.
-    monkeypatch.setattr(
-        "mjhab.evaluation.spread.FilmCrew", lambda *_: HumanView(64, 48)
-    )
+    monkeypatch.setattr("mjhab.evaluation.spread.FilmCrew", lambda *_: HumanView(64, 48))
     return stage
 
 

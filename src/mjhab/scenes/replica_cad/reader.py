@@ -11,6 +11,7 @@ scenes) are static here, like furniture: only the objects of a task's episodes m
 from __future__ import annotations
 
 import fnmatch
+import functools
 import re
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -167,10 +168,24 @@ def _named(wanted: tuple[str, ...], names: list[str]) -> list[str]:
 def _objects(folder: Path) -> tuple[dict[str, ObjectType], dict[str, Any]]:
     for place in (folder / "ycb", folder.parent / "ycb"):
         if place.is_dir():
-            from mjhab.scenes.replica_cad.ycb import read_ycb
-
-            return read_ycb(place)
+            files = sorted(place.glob("*/*.glb"))
+            states = ((file.stat().st_size, file.stat().st_mtime_ns) for file in files)
+            types, meshes = _scans(place, tuple(zip(files, states, strict=True)))
+            return dict(types), dict(meshes)
     return builtin_objects(), dict(object_meshes())
+
+
+@functools.lru_cache(maxsize=1)
+def _scans(
+    place: Path, files: tuple[tuple[Path, tuple[int, int]], ...]
+) -> tuple[dict[str, ObjectType], dict[str, Any]]:
+    """The objects of a folder whose files have these sizes and times.
+
+    Packs of other scenes or of another stage have the same objects, and reading them takes two seconds.
+    """
+    from mjhab.scenes.replica_cad.ycb import read_ycb
+
+    return read_ycb(place)
 
 
 MAX_INSTANCES = 1000

@@ -152,6 +152,8 @@ def test_stops_and_a_raised_number_change_nothing(
     out = tmp_path / "all"
     stopped = run_making(spec_of(out, 2), stopped=_after(3))
     assert not stopped.about and not (out / ABOUT).exists()
+    with refused(where=out, said="is not finished: the same"):
+        check_set(out)
     with refused(said="started with"):
         run_making(spec_of(out, 2, rgb="jpeg"))
     assert run_making(spec_of(out, 2)).about["episodes"] == 2 * len(ROWS)

@@ -26,6 +26,8 @@ from mjhab.data.store.reading import RecordedEpisode
 from mjhab.evaluation.publishing.spec import DEMONSTRATIONS, DatasetSpec
 
 ABOUT = "dataset.json"
+MAKING = "making.json"
+"""What a set is made with, from its begin on."""
 SPLITS_FILE = "splits.json"
 FORMAT = "mjhab-dataset"
 SUBSETS: dict[str, str] = {"failures": "not success", "recoveries": "success"}
@@ -120,7 +122,7 @@ def describe(
     for episode, target, subset in _episodes(spec):
         found.add(episode, target, subset)
     # The record cannot hold its own hash, and the configuration changes when the set is extended.
-    files = list_files(spec.out, frozenset({ABOUT, "making.json"}))
+    files = list_files(spec.out, frozenset({ABOUT, MAKING}))
     size = int(np.sum([each["bytes"] for each in files.values()]))
     totals = Counter[str]()
     for counts in found.targets.values():

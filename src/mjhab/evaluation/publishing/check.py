@@ -6,7 +6,7 @@ from pathlib import Path
 
 from mjhab.core.errors import fault
 from mjhab.core.files.checksums import differences, listed_in
-from mjhab.evaluation.publishing.about import ABOUT
+from mjhab.evaluation.publishing.about import ABOUT, MAKING
 
 EXPORTED = "meta/files.json"
 """List of the files of an export."""
@@ -19,11 +19,15 @@ def list_of(folder: Path) -> Path:
     """The file that lists those of a data set or an export.
 
     Raises:
-        UsageError: the folder is neither.
+        UsageError: the folder is neither, or not finished.
     """
     for name in LISTS:
         if (folder / name).is_file():
             return folder / name
+    if (folder / MAKING).is_file():
+        raise fault(
+            folder, "is not finished: the same `mjhab dataset make` goes on with it."
+        )
     raise fault(
         folder,
         f"holds neither {ABOUT} nor {EXPORTED}: make a data set by `mjhab dataset make` or `mjhab export lerobot`.",

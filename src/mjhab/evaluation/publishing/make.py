@@ -31,7 +31,13 @@ from mjhab.data.store.episode_files import EPISODE_FOLDER
 from mjhab.data.store.packing import pack
 from mjhab.data.store.places import entries
 from mjhab.evaluation.generate import recorded_value, run_generation
-from mjhab.evaluation.publishing.about import ABOUT, SPLITS_FILE, SUBSETS, describe
+from mjhab.evaluation.publishing.about import (
+    ABOUT,
+    MAKING,
+    SPLITS_FILE,
+    SUBSETS,
+    describe,
+)
 from mjhab.evaluation.publishing.card import card
 from mjhab.evaluation.publishing.spec import DEMONSTRATIONS, REST, DatasetSpec
 from mjhab.evaluation.score.manifest import ScoreRow
@@ -44,7 +50,7 @@ VAL = "val"
 class SetFolder(RunFolder):
     """The folder of a data set that is made."""
 
-    CONFIG_FILE = "making.json"
+    CONFIG_FILE = MAKING
     RESUMES = False
     FREE_KEYS = frozenset({"per_target", "rows", "episodes", "held_out"})
     WORK = ("*.h5",)

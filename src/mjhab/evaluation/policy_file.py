@@ -18,7 +18,7 @@ from types import ModuleType
 
 from mjhab.core.errors import fault, unknown_name, wrong_value
 from mjhab.evaluation.own_policy import check_methods, construct_policy, env_options_of
-from mjhab.evaluation.resolve import OpenedPolicy, PolicyFacts, PolicyOptions
+from mjhab.evaluation.resolve import OpenedPolicy, PolicyFacts, PolicyOptions, check_style
 from mjhab.rollout.policy import Policy, RolloutEnv
 
 
@@ -46,7 +46,7 @@ class PolicyClass(OpenedPolicy):
         Raises:
             UsageError: as `facts`; or ``options`` sets a style; or the constructor has other parameters.
         """
-        self.refuse_style(options)
+        check_style(self.spec, options.style)
         return construct_policy(_load_class(self.spec), env)
 
 

@@ -133,19 +133,6 @@ class OpenedPolicy(ABC):
     def _build(self, env: RolloutEnv, options: PolicyOptions) -> Policy:
         """Build the policy of this kind, see `build`."""
 
-    def refuse_style(self, options: PolicyOptions) -> None:
-        """Refuse style options, which only the expert has.
-
-        Raises:
-            UsageError: there are some.
-        """
-        if options.style:
-            raise wrong_value(
-                "style",
-                tuple(options.style),
-                f"left out: only the policy expert has one, not {self.spec}",
-            )
-
 
 @dataclass(frozen=True)
 class PolicyKind:

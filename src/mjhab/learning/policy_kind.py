@@ -18,6 +18,7 @@ from mjhab.evaluation.resolve import (
     OpenedPolicy,
     PolicyFacts,
     PolicyOptions,
+    check_style,
     no_instruction,
 )
 from mjhab.learning.require import require_learn
@@ -152,7 +153,7 @@ class CheckpointFiles(OpenedPolicy):
             UsageError: see `content`; the environment's observations or actions do not match the student's; or
                 ``options`` sets a style, or an instruction for students without sentences.
         """
-        self.refuse_style(options)
+        check_style(self.spec, options.style)
         pairs = zip(self.paths, self.content, strict=True)
         from mjhab.learning.checkpoint import student_of
         from mjhab.learning.policy import StudentEnsemble, StudentPolicy

@@ -27,12 +27,11 @@ from mjhab.core.progress import say
 from mjhab.core.version import __version__
 from mjhab.data.store.episode_data import last_label
 from mjhab.data.store.places import episodes
-from mjhab.reports.compared.trainings import FINAL, read_metrics
+from mjhab.reports.compared.trainings import FINAL, SECONDS_PER_MINUTE, read_metrics
 from mjhab.reports.metrics import label_counts, mean, wilson
 from mjhab.reports.paper import paper_success
 from mjhab.rollout.store import read_records
 
-SECONDS_PER_MINUTE = 60.0
 IDENTITY = tuple("task subtask target assets preset image_size views seed".split())
 """Keys that identify a row; a row without ``views`` sees whole images."""
 WHOLE = "whole"

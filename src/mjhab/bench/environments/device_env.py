@@ -7,7 +7,7 @@ from collections.abc import Callable
 from statistics import median
 from typing import TYPE_CHECKING, Any
 
-from mjhab.bench.environments.memory_sampler import MemorySampler
+from mjhab.bench.environments.memory_sampler import MemorySampler, gpu_used_mb
 from mjhab.bench.environments.speed import sway
 from mjhab.bench.environments.stages import (
     Stopwatch,
@@ -54,7 +54,7 @@ def measure_device_env(spec: EnvBenchSpec, worlds: int) -> dict[str, Any]:
         for _ in actions:
             env.sim.step(commands)
 
-    with MemorySampler(resident_mb, lambda: used_mb(env)) as memory:
+    with MemorySampler(resident_mb, lambda: gpu_used_mb(env.sim.device)) as memory:
         whole = _rate(block, spec, worlds, wait)
     stages, reset_ms = profile(env, actions, wait)
     # After the profile, so that the bare engine gets commands of a moving robot.
@@ -86,12 +86,6 @@ def _make(spec: EnvBenchSpec, worlds: int) -> tuple[DeviceEnv, Callable[[], None
     options = {name: value for name, value in spec.env.items() if name not in apart}
     env = make_by_id(spec.id, backend="warp", num_envs=worlds, **options)
     return env, lambda: synchronize(env.sim.device)
-
-
-def used_mb(env: DeviceEnv) -> float | None:
-    """Memory of the GPU that is in use, by anybody [MB]; None without a GPU."""
-    device = env.sim.device
-    return (device.total_memory - device.free_memory) / 2**20 if device.is_cuda else None
 
 
 def _rate(

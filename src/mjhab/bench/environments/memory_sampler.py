@@ -4,6 +4,14 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
+from typing import Any
+
+
+def gpu_used_mb(device: Any) -> float | None:
+    """Memory of a device of Warp's that is in use, by anybody [MB]; None if there is none, or it is no GPU."""
+    if device is None or not device.is_cuda:
+        return None
+    return (device.total_memory - device.free_memory) / 2**20
 
 
 class MemorySampler:

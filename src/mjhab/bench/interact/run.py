@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from scipy.stats import t as student
 
-from mjhab.bench.environments.memory_sampler import MemorySampler
+from mjhab.bench.environments.memory_sampler import MemorySampler, gpu_used_mb
 from mjhab.bench.interact.scene import (
     OBJECTS,
     STEPS,
@@ -168,10 +168,7 @@ class InteractBench:
 
     def device_used_mb(self) -> float | None:
         """Memory of the GPU that is in use, by anybody [MB]; None without a GPU."""
-        device = getattr(self.sim, "device", None)
-        if device is None or not device.is_cuda:
-            return None
-        return (device.total_memory - device.free_memory) / 2**20
+        return gpu_used_mb(getattr(self.sim, "device", None))
 
 
 def affine_commands(actions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -151,9 +151,7 @@ def read_for_table(path: Path) -> ScoreResult:
             path, f"not a summary of version {VERSION}; `mjhab score` writes them."
         )
     try:
-        result = ScoreResult(
-            dict(content["facts"]), dict(content["summary"]), (), str(content["digest"])
-        )
+        result = _made_of(content, ())
         asked = result.manifest
         made_for = result.facts["manifest"]
     except (KeyError, TypeError, ValueError) as error:
@@ -165,6 +163,17 @@ def read_for_table(path: Path) -> ScoreResult:
     if not _is_like({**result.summary, "labels": {}}, empty):
         raise fault(path, "damaged: its summary is not that of a score.")
     return result
+
+
+def _made_of(
+    content: Mapping[str, Any], episodes: tuple[ScoredEpisode, ...]
+) -> ScoreResult:
+    return ScoreResult(
+        dict(content["facts"]),
+        dict(content["summary"]),
+        episodes,
+        str(content["digest"]),
+    )
 
 
 def _is_like(value: object, example: object) -> bool:
@@ -227,12 +236,7 @@ def _result_of(path: Path, content: Mapping[str, Any]) -> ScoreResult:
             )
             for entry in content["episodes"]
         )
-        result = ScoreResult(
-            dict(content["facts"]),
-            dict(content["summary"]),
-            episodes,
-            str(content["digest"]),
-        )
+        result = _made_of(content, episodes)
         asked = result.manifest
         made_for = result.facts["manifest"]
     except (KeyError, TypeError, ValueError) as error:

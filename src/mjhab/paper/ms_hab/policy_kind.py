@@ -13,6 +13,7 @@ from mjhab.evaluation.resolve import (
     OpenedPolicy,
     PolicyFacts,
     PolicyOptions,
+    check_style,
 )
 from mjhab.learning.require import require_learn
 from mjhab.rollout.policy import Policy, RolloutEnv
@@ -62,7 +63,7 @@ class MsHabFile(OpenedPolicy):
             UsageError: as `facts`; the environment lacks observations that the policy needs; or ``options`` sets a
                 style.
         """
-        self.refuse_style(options)
+        check_style(self.spec, options.style)
         require_learn()
         from mjhab.paper.ms_hab.policy import check_environment, policy_of
 

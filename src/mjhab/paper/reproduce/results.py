@@ -27,7 +27,7 @@ from mjhab.paper.reproduce.variants import (
     TABLE5,
     VARIANTS,
 )
-from mjhab.reports.compared.trainings import ON_THE_WAY, read_metrics
+from mjhab.reports.compared.trainings import ON_THE_WAY, SECONDS_PER_MINUTE, read_metrics
 from mjhab.reports.metrics import label_counts, mean, wilson
 from mjhab.reports.pages import Section, render_sections
 from mjhab.reports.paper import ABLATIONS, SUCCESS_COLUMNS, paper_row, paper_success
@@ -57,7 +57,6 @@ PAPER_TITLES = dict(
 PAPER_POLICIES = {RL_PER: "RL-Per", RL_ALL: "RL-All"}
 """Policies of the paper's tables of labels by the variants of `PER_ALL`."""
 _WHAT = {False: "Rules", True: "Ways of training"}
-SECONDS_PER_MINUTE = 60.0
 COLUMN_TITLES = (
     "row",
     "rules",

@@ -25,6 +25,11 @@ class _Shown(ForwardingWrapper):
         """The observation in the form of this wrapper."""
         raise NotImplementedError
 
+    def step(self, action: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
+        """One control step."""
+        obs, *rest = self.env.step(action)
+        return (self.observation(obs), *rest)  # type: ignore[return-value]
+
     def _take_space(self) -> None:
         """Set the spaces of the environment below to those of this wrapper's observations."""
         base: Any = self.env.unwrapped
@@ -80,11 +85,6 @@ class FetchDepthObservationWrapper(_Shown):
         obs, info = self.env.reset(**kwargs)
         return self.observation(obs), info
 
-    def step(self, action: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
-        """One control step."""
-        obs, *rest = self.env.step(action)
-        return (self.observation(obs), *rest)  # type: ignore[return-value]
-
 
 class _Stack(_Shown):
     """Stacks the last frames of some entries, oldest first, before the dimensions of one frame.
@@ -94,14 +94,17 @@ class _Stack(_Shown):
     """
 
     def __init__(
-        self, env: gymnasium.Env, num_stack: int, stacking_keys: Sequence[str]
+        self,
+        env: gymnasium.Env,
+        num_stack: int,
+        stacking_keys: Sequence[str] | None = None,
     ) -> None:
         super().__init__(env)
         good = isinstance(num_stack, int) and num_stack > 0
         check(good, "num_stack", num_stack, "a whole number above 0")
         self._num_stack = num_stack
-        self._keys = list(stacking_keys)
         known = env.unwrapped.single_observation_space.spaces  # type: ignore[attr-defined]
+        self._keys = list(known if stacking_keys is None else stacking_keys)
         for key in self._keys:
             if key not in known:
                 raise unknown_name("entry to stack", key, known)
@@ -161,17 +164,12 @@ class _Stack(_Shown):
             stacks[key] = self._joined(self._frames[key])
         return self._placed(obs, stacks), info
 
-    def step(self, action: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
-        """One control step."""
-        obs, *rest = self.env.step(action)
-        return (self.observation(obs), *rest)  # type: ignore[return-value]
-
 
 def _with_rows(kept: Any, first: Any, rows: Any) -> Any:
     """A frame with the rows of worlds that begin an episode replaced by their first frame."""
     if isinstance(kept, Mapping):
         return {key: _with_rows(kept[key], first[key], rows) for key in kept}
-    # The stack of the last step may share the frame's memory.
+    # A copy: right after a reset all places of a stack hold the same tensor.
     changed = kept.clone()
     changed[rows] = first[rows]
     return changed
@@ -212,17 +210,6 @@ class StackedDictObservationWrapper(_Stack):
     Raises:
         UsageError: the environment has no such entry.
     """
-
-    def __init__(
-        self,
-        env: gymnasium.Env,
-        num_stack: int,
-        stacking_keys: Sequence[str] | None = None,
-    ) -> None:
-        known = env.unwrapped.single_observation_space.spaces  # type: ignore[attr-defined]
-        super().__init__(
-            env, num_stack, known if stacking_keys is None else stacking_keys
-        )
 
     def _placed(self, obs: dict[str, Any], stacks: dict[str, Any]) -> dict[str, Any]:
         return stacks

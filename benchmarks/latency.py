@@ -95,6 +95,7 @@ def _request(spec: LatencySpec, port: int, meanwhile: str, latency: float) -> Ev
             "profile": spec.profile,
             "split": "val",
             "num_envs": spec.worlds,
+            # One thread leaves the other cores to the policy, which runs in this process, too.
             "threads": 1,
         },
         served={

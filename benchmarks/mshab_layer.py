@@ -32,6 +32,7 @@ def main() -> None:
     given = parser.parse_args()
     own: dict[str, Any] = {"mjhab_options": {"threads": 1}}
     layer = gymnasium.make(ENV_ID, num_envs=given.worlds, obs_mode="depth", **own)
+    # Episodes so long that none ends by time within a measurement.
     config = EnvConfig(ENV_ID, given.worlds, 10_000, record_video=False, env_kwargs=own)
     whole = make_env(config)
     told = {

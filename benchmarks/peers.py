@@ -85,6 +85,7 @@ def _ours(spec: PeersSpec, worlds: int, obs: str) -> dict[str, Any]:
         autoreset="disabled",
     )
     env.reset(seed=0)
+    # The same actions in every round.
     env.action_space.seed(0)
     # The first step compiles kernels.
     env.step(env.action_space.sample())

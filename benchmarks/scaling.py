@@ -129,6 +129,7 @@ def measure_scaling(
             rows.append(measure_engine(one))
             on_row(rows[-1])
     asked = dataclasses.asdict(spec)
+    # How results are printed is no part of what was asked.
     del asked["json"]
     models = {name: StepTime.fit(rows, name) for name in MEASURED}
     most = max(spec.worlds)

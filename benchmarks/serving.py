@@ -221,6 +221,7 @@ def measure_restarts(spec: ServingSpec) -> dict[str, Any]:
     every = spec.steps // (spec.restarts + 1)
     killer = Killer(server, [every * (k + 1) for k in range(spec.restarts)])
     try:
+        # To reconnect may take longer than a restart, or episodes would be lost for another reason.
         address = f"ws://127.0.0.1:{server.port}?execute=1&timeout=10&reconnect=60"
         policy = resolve_policy(address, env)
         horizon = limits_of(env.task_config, "close").horizon

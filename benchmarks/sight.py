@@ -95,6 +95,7 @@ def measure(spec: SightSpec) -> dict[str, Any]:
     for subtask in spec.subtasks:
         for look in spec.looks:
             sink = SightSink(spec.every)
+            # What the sink counts is all that is wanted of the run.
             with tempfile.TemporaryDirectory() as folder:
                 asked = EvalSpec.of(
                     "expert",

@@ -196,6 +196,7 @@ def replayed(env: SequentialTaskEnv, episode: RecordedEpisode) -> bool:
     succeeded = False
     for action in episode.array("actions"):
         *_, info = env.step(action[None])
+        # Success counts once, as in evaluations.
         succeeded |= bool(info["success"][0])
     return succeeded
 

@@ -90,6 +90,7 @@ def _measure(worlds: int, spec: ViewSpec) -> dict[str, float]:
         threads=spec.threads,
         assets=spec.assets,
     )
+    # Worlds go on with their next episode, or soon there would be nothing to send.
     session = LiveSession(what, 0, RealTimeClock(), hold_at_end=False)
     viewer = Viewer(session, port=0)
     try:

@@ -278,6 +278,7 @@ class _Alone(Sink[RolloutEnv]):
 def difference(a: SimState, b: SimState) -> dict[str, np.ndarray]:
     """Largest difference (W,) of each of KINDS; turns are angles between orientations of objects."""
     dot = np.abs((a.object_pose[..., 3:] * b.object_pose[..., 3:]).sum(-1))
+    # Divided by the lengths, as quaternions of float32 are not exactly of length 1.
     norms = np.linalg.norm(a.object_pose[..., 3:], axis=-1) * np.linalg.norm(
         b.object_pose[..., 3:], axis=-1
     )

@@ -86,6 +86,7 @@ def _shake(
 
 def _held(sim: Any, home: str, slot: int) -> np.ndarray:
     """(nq,) state with the object of a slot in the hand, after the grip has settled."""
+    # Settled by MuJoCo for both backends, so that they begin with the same grip.
     bench = GraspBench(BENCH_OBJECTS[slot])
     for _ in range(SETTLE_STEPS):
         bench.step(bench.rest, 0.0, 0.0)

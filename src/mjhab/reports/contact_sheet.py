@@ -41,6 +41,7 @@ def save_png(path: Path, title: str, tiles: Sequence[Tile]) -> None:
     height, width = tiles[0].image.shape[:2]
     columns = max(1, min(len(tiles), round(math.sqrt(len(tiles) * 1.5 * height / width))))
     cells = _cells(tiles, columns)
+    # Captions grow with the pictures, but stay readable below small ones.
     size = max(10, width // 24)
     gap = max(4, width // 40)
     caption = round(size * 3.2)

@@ -66,6 +66,7 @@ def render_data_report(
         "reports/templates/dataset.html",
         title="Recorded episodes",
         chips=chips,
+        # By all episodes of the shards, whose bytes these are, and not by those that pass the filter.
         numbers=_numbers(records, sum(path.stat().st_size for path in paths) / found.of),
         beside_the_paper=beside_the_paper(rules),
         label_tables=_label_tables(records),

@@ -94,6 +94,7 @@ class LabelColumn:
     @property
     def interval(self) -> str:
         """Wilson 95 % interval of success once, in percent."""
+        # The paper prints rates, from which its counts follow.
         low, high = wilson(round(self.success_once / 100 * self.episodes), self.episodes)
         return f"{100 * low:.0f} to {100 * high:.0f}"
 
@@ -138,6 +139,7 @@ def _columns(group: Group, members: Sequence[SubtaskRecord]) -> list[LabelColumn
         _ours("mjhab, published rules", members, "legacy_label"),
         _ours("mjhab, own rules", members, "label"),
     ]
+    # The paper labels single subtasks alone; beside chains its numbers would mislead.
     for policy in POLICIES if not group.suite else ():
         row = paper_row(group.task, group.kind, group.split, group.target, policy)
         if row is not None:

@@ -56,6 +56,7 @@ def mosaic(members: Sequence[tuple[Path, str]], open_film: OpenFilm) -> Mosaic |
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
         film = open_film(folder / "mosaic.mp4", FILM_FPS)
         try:
+            # One more than control steps, because the start is an image, too.
             for t in range(0, max(episode.steps for episode, _, _ in shown) + 1, EVERY):
                 film.add(
                     _grid(
@@ -98,6 +99,7 @@ def _tile(episode: RecordedEpisode, camera: str, output: str, t: int) -> np.ndar
     """One image (TILE, TILE, 3); after its end an episode shows its last image."""
     image = episode.frame(camera, output, min(t, episode.steps))
     if output == "depth":
+        # Depth 0 is nothing seen, which must not look near.
         near = np.where(image > 0, 1.0 - np.minimum(image / _FAR, 1.0), 0.0)
         image = np.repeat((255 * near).astype(np.uint8), 3, axis=2)
     side = min(image.shape[:2])

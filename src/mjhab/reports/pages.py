@@ -82,6 +82,7 @@ def render_page(
         jinja2.UndefinedError: the template uses a value that is not given.
     """
     drawn = {name: figure for name, figure in (plots or {}).items() if has_values(figure)}
+    # Without blanks, as pages hold many numbers.
     data = json.dumps(
         {"plots": drawn, "force": list(force)}, separators=(",", ":"), allow_nan=False
     )

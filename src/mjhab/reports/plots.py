@@ -200,6 +200,7 @@ def force_figure(record: EpisodeRecord) -> Figure:
     force = np.asarray(record.force, float)
     data: list[dict[str, Any]] = []
     drawn: set[str] = set()
+    # Without any force the axis still needs a length.
     highest = 1.0
     for kind, target, start, end in _spans(record):
         steps = list(range(start + 1, end + 1))

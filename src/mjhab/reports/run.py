@@ -138,6 +138,7 @@ def _numbers(
     """The main numbers: name, value, and what is told more."""
     total = len(records)
     length = max((len(record.plan) for record in records), default=0)
+    # A run that was stopped early has a page before its first episode.
     completed = sum(record.completed for record in records) / max(total, 1)
     steps = sum(record.steps for record in records)
     seconds = summary["seconds"]
@@ -186,6 +187,7 @@ def shown_episode(
     """What the element ``film`` of pages shows: an episode with its timeline, whose places are in percent of the
     episode, and its film if the file exists; ``run``: its name, on pages of several.
     """
+    # An episode that could not begin has no length to divide by.
     steps = max(record.steps, 1)
     outcome = f"{record.completed} of {len(record.plan)} subtasks"
     if record.success_once:

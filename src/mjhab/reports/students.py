@@ -85,6 +85,7 @@ def judged_row(rows: Sequence[dict[str, Any]], evaluation: Path) -> dict[str, An
         UsageError: the folder is not such a run, or not one row of ``rows`` is of this student.
     """
     judged = read_json(evaluation / "config.json")
+    # Students without images have size 0 in the table.
     size = judged["env"]["camera_size"] if judged["env"]["obs_mode"] != "state" else 0
     wanted = {name: judged[name] or "" for name in ("task", "subtask", "target")}
     wanted |= {"image_size": size, "assets": pack_name(judged["assets"]), "seed": 0}
@@ -172,6 +173,7 @@ def _sums(trained: Sequence[dict[str, Any]]) -> dict[str, Any]:
     found: dict[str, Any] = {}
     for name in (*counts, "cpu_minutes", "minutes"):
         values = [one[name] for one in trained]
+        # A sum without one of its parts would be wrong.
         if None in values:
             found[name] = None
         else:

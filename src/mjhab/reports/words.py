@@ -10,6 +10,7 @@ NOT_JUDGED = "by teleport"
 
 def percent(value: float) -> str:
     """A rate in 0..1 as text."""
+    # Without a decimal only where nothing is rounded away.
     return f"{100 * value:.0f} %" if value in (0.0, 1.0) else f"{100 * value:.1f} %"
 
 

@@ -102,5 +102,6 @@ def world_mb(env: SequentialTaskEnv) -> float:
     before = resident_mb()
     more = CpuSimulator(env.layout, 64, env.sim.num_threads)
     more.reset(range(64), [env.homes[0]] * 64, np.repeat(env.sim.qpos[:1], 64, axis=0))
+    # Resident memory counts only pages that were written, so the worlds must run once.
     more.step(np.zeros((64, env.ctrl.shape[1])))
     return round((resident_mb() - before) / 64, 2)

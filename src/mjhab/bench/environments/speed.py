@@ -66,6 +66,7 @@ def measure_sps(
                 (env.step, actions) if name == "env" else (env.sim.bare_step, commands)
             )
             times[name].append(_seconds(call, inputs))
+    # The median, as other processes can delay single blocks.
     engine, whole = (worlds * steps / median(times[name]) for name in ("engine", "env"))
     return {
         "engine_sps": round(engine, 1),

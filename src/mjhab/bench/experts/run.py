@@ -252,6 +252,7 @@ def _csv(results: Sequence[RowResult], profile: str) -> str:
 
 
 def _csv_row(r: RowResult, profile: str) -> tuple[object, ...]:
+    # Without episodes the interval is all of 0 to 1, which says nothing.
     low, high = r.interval if r.episodes else (None, None)
     rates = (
         _percent(value)

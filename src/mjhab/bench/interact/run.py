@@ -184,6 +184,7 @@ def affine_commands(actions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     zero = np.zeros((1, len(controller.robot.joints)))
     # Computed before the clock runs, as the original replays commands, too.
     offset = np.stack([command(action, zero) for action in actions])
+    # The command is affine in each joint, so two joint vectors determine it.
     return offset, command(actions[0], zero + 1.0) - offset[0]
 
 

@@ -411,6 +411,10 @@ def test_a_broken_cache_file_is_made_anew(
 ) -> None:
     monkeypatch.setenv("MJHAB_CACHE", str(tmp_path / "cache"))
     open_replica_cad(folder)
-    (cached,) = (tmp_path / "cache" / "replica_cad").glob("*.npz")
-    cached.write_bytes(cached.read_bytes()[:50])
+    cached = sorted((tmp_path / "cache" / "replica_cad").glob("*.npz"))
+    whole = [file.read_bytes() for file in cached]
+    assert whole
+    for file, content in zip(cached, whole, strict=True):
+        file.write_bytes(content[:50])
     assert len(open_replica_cad(folder).meshes["table/look"].faces) == 12  # type: ignore[attr-defined]
+    assert all(file.stat().st_size > 50 for file in cached)

@@ -53,6 +53,15 @@ def check_folder(folder: Path) -> None:
         )
 
 
+def file_state(path: Path) -> tuple[int, int]:
+    """Size [bytes] and modification time [ns] of a file, by which what was read of it is known; zeros without one."""
+    try:
+        stat = path.stat()
+    except OSError:
+        return 0, 0
+    return stat.st_size, stat.st_mtime_ns
+
+
 def load_json(path: Path) -> dict[str, Any]:
     """Read a JSON object.
 

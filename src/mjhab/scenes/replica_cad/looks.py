@@ -13,6 +13,7 @@ from mjhab.core.arithmetic.digest import arithmetic_digest
 from mjhab.core.files.cache import cache_dir, read_cached, write_cached
 from mjhab.core.files.code_digest import code_digest
 from mjhab.scenes.formats.gltf import Primitive, read_glb
+from mjhab.scenes.replica_cad.files import file_state
 from mjhab.scenes.shapes.meshes import Mesh, mesh_arrays, mesh_from_arrays
 from mjhab.scenes.shapes.painting import textured_mesh
 
@@ -28,19 +29,20 @@ class MeshFiles:
         self.wanted.setdefault(name, []).append((file, np.asarray(pose, float)))
 
     def meshes(self) -> dict[str, Mesh]:
-        """Return all collected meshes by name, from the cache if the files are unchanged.
+        """Return all collected meshes by name, each from the cache if its files are unchanged.
 
         Raises:
             UsageError: a file is missing or broken; the message names it.
         """
-        path = cache_dir() / "replica_cad" / f"looks-{self._digest()}.npz"
-        found = read_cached(path, lambda file: _load(file, list(self.wanted)))
+        return {name: self._mesh(name) for name in self.wanted}
+
+    def _mesh(self, name: str) -> Mesh:
+        path = cache_dir() / "replica_cad" / f"look-{self._digest(name)}.npz"
+        found = read_cached(path, lambda file: _load(file, name))
         if found is not None:
             return found
-        made = {name: textured_mesh(self._parts(name)) for name in self.wanted}
-        arrays: dict[str, np.ndarray] = {}
-        for name, mesh in made.items():
-            arrays |= mesh_arrays(name, mesh)
+        made = textured_mesh(self._parts(name))
+        arrays = mesh_arrays(name, made)
         # Not compressed, because decompressing textures takes longer than reading them.
         write_cached(
             path, lambda temporary: np.savez(temporary, allow_pickle=False, **arrays)
@@ -58,7 +60,7 @@ class MeshFiles:
                 )
         return parts
 
-    def _digest(self) -> str:
+    def _digest(self, name: str) -> str:
         """Hash of the inputs: name, size and modification time of the files, poses, and the code of the readers."""
         readers = code_digest(
             "scenes.formats.gltf",
@@ -67,19 +69,12 @@ class MeshFiles:
             "scenes.shapes.winding",
         )
         digest = hashlib.sha256(readers + arithmetic_digest())
-        for name, parts in sorted(self.wanted.items()):
-            for file, pose in parts:
-                try:
-                    stat = file.stat()
-                    state = (stat.st_size, stat.st_mtime_ns)
-                except OSError:
-                    state = (0, 0)
-                digest.update(
-                    repr((name, file.name, state)).encode() + pose.round(9).tobytes()
-                )
+        for file, pose in self.wanted[name]:
+            state = (name, file.name, file_state(file))
+            digest.update(repr(state).encode() + pose.round(9).tobytes())
         return digest.hexdigest()[:24]
 
 
-def _load(path: Path, names: list[str]) -> dict[str, Mesh]:
+def _load(path: Path, name: str) -> Mesh:
     with np.load(path, allow_pickle=False) as arrays:
-        return {name: mesh_from_arrays(name, arrays) for name in names}
+        return mesh_from_arrays(name, arrays)

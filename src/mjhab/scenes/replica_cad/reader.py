@@ -29,6 +29,7 @@ from mjhab.scenes.replica_cad.files import (
     HOW_TO_GET,
     SCENE_SUFFIX,
     check_folder,
+    file_state,
     load_json,
     number,
     placement,
@@ -169,8 +170,7 @@ def _objects(folder: Path) -> tuple[dict[str, ObjectType], dict[str, Any]]:
     for place in (folder / "ycb", folder.parent / "ycb"):
         if place.is_dir():
             files = sorted(place.glob("*/*.glb"))
-            states = ((file.stat().st_size, file.stat().st_mtime_ns) for file in files)
-            types, meshes = _scans(place, tuple(zip(files, states, strict=True)))
+            types, meshes = _scans(place, tuple((f, file_state(f)) for f in files))
             return dict(types), dict(meshes)
     return builtin_objects(), dict(object_meshes())
 

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from pathlib import Path
 
 import numpy as np
 from scipy.ndimage import distance_transform_edt
 
 from mjhab.core.errors import fault
-from mjhab.scenes.replica_cad.files import NAVMESHES
+from mjhab.scenes.replica_cad.files import NAVMESHES, file_state
 from mjhab.scenes.replica_cad.navmesh import NavMesh, read_navmesh
 
 AGENT_RADIUS_M = 0.1
@@ -57,9 +57,16 @@ def walkable_floor(folder: Path, scenes: Iterable[str]) -> Walkable:
     Raises:
         UsageError: a scene has no navigation mesh in `files.NAVMESHES`, or its file is broken.
     """
-    meshes = [read_navmesh(folder / NAVMESHES / f"{name}.navmesh") for name in scenes]
-    if not meshes:
+    files = [folder / NAVMESHES / f"{name}.navmesh" for name in scenes]
+    if not files:
         raise fault(folder, "no scene whose stage is missing.")
+    return _drawn(tuple((file, file_state(file)) for file in files))
+
+
+@lru_cache(maxsize=1)
+def _drawn(files: tuple[tuple[Path, tuple[int, int]], ...]) -> Walkable:
+    """The floor of files of these sizes and times: that of all packs of a data set."""
+    meshes = [read_navmesh(file) for file, _ in files]
     bounds = np.array([mesh.bounds for mesh in meshes])
     low = bounds[0, :2]
     # Corners of cells of the first mesh; those of one stage have the same bounds.

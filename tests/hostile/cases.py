@@ -506,7 +506,8 @@ NUMBERS = (
     ("homes render", "width", "nan"),
     ("episodes make", "count", "-1"),
     ("spawns make", "pool", "x"),
-    ("bench env", "worlds", ""),
+    ("bench env", "camera-size", "18446744073709551616"),
+    ("bench env", "steps", ""),
     ("eval", "films", "1000000000"),
     ("eval", "worlds", "1000000000"),
     ("eval", "camera-size", "1000000000"),
@@ -525,19 +526,29 @@ TEXTS = {
     "a path": "/proc/self",
     "NUL": "a\0b",
 }
+NAMES = ("empty", "10,000 characters", "a path", "NUL")
+FILES = ("a path", "NUL")
+TEXT_OPTIONS = {
+    ("eval", "task"): NAMES,
+    ("eval", "target"): NAMES[1:],
+    ("eval", "policy"): NAMES,
+    ("eval", "home"): NAMES[1:],
+    ("eval", "assets"): NAMES,
+    ("eval", "episodes-file"): FILES,
+    ("eval", "spawns"): FILES,
+    ("generate", "keep"): NAMES,
+    ("generate", "images"): NAMES,
+}
+"""Texts that each of these options refuses; an empty target or home is the same as none."""
 
 
 def options() -> Iterator[Case]:
     for command, name, value in NUMBERS:
         yield Case("option", f"{command} --{name} {value!r}", asked(command, name, value))
-    for what, text in TEXTS.items():
-        yield Case("option", f"eval --task, {what}", asked("eval", "task", text))
-    for name in ("target", "policy", "home", "assets", "episodes-file", "spawns"):
-        act = asked("eval", name, TEXTS["NUL"])
-        yield Case("option", f"eval --{name}, NUL", act)
-    for name in ("keep", "images"):
-        act = asked("generate", name, TEXTS["empty"])
-        yield Case("option", f"generate --{name}, empty", act)
+    for (command, name), texts in TEXT_OPTIONS.items():
+        for what in texts:
+            act = asked(command, name, TEXTS[what])
+            yield Case("option", f"{command} --{name}, {what}", act)
 
 
 def asked(command: str, name: str, value: str) -> Act:

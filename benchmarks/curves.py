@@ -14,7 +14,7 @@ from typing import Any
 
 from benchmarks.command import run_command
 from mjhab.cli.output import Listing, report
-from mjhab.core.files.cache import write_text
+from mjhab.core.files.cache import write_json
 from mjhab.core.files.interrupts import sigterm_interrupts
 from mjhab.learning.reinforcement.specs import PpoSpec
 from mjhab.learning.reinforcement.train import train_reinforcement
@@ -66,7 +66,7 @@ def measure_curves(spec: CurvesSpec) -> dict[str, Any]:
             curve = train_curve(preset, seed, spec.samples, run)
             found[f"{preset}/{seed}"] = {"curve": curve, "samples_to": samples_to(curve)}
             # After every run: all of them take hours.
-            write_text(spec.out / RESULT, json.dumps(found, indent=1) + "\n")
+            write_json(spec.out / RESULT, found)
     return found
 
 

@@ -9,7 +9,6 @@ import argparse
 import dataclasses
 import datetime
 import gc
-import json
 import platform
 import sys
 import traceback
@@ -25,7 +24,7 @@ from mjhab.bench.environments import env as bench_env
 from mjhab.bench.interact.run import measure_interact
 from mjhab.bench.specs import EnvBenchSpec, InteractSpec
 from mjhab.core.errors import MjhabError, UsageError, unknown_name
-from mjhab.core.files.cache import write_text
+from mjhab.core.files.cache import write_json
 from mjhab.core.machine import cores, gpu_name, installed
 from mjhab.core.version import __version__
 from mjhab.envs.estimate import estimate_rows
@@ -235,9 +234,8 @@ def report(out: Path, names: Sequence[str] = ()) -> None:
     head = made | {"machine": machine(), "note": None if has_gpu else NO_GPU}
     for name in names or [name for name in MEASURES if name != left_out]:
         told = {"command": f"python -m benchmarks.gpu_report docs/results {name}"}
-        text = json.dumps(told | head | MEASURES[name](has_gpu), indent=1) + "\n"
         path = out / f"gpu-{name}.json"
-        write_text(path, text)
+        write_json(path, told | head | MEASURES[name](has_gpu))
         print(path, flush=True)
     if not has_gpu:
         print(f"Note: {NO_GPU}.")

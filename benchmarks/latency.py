@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import sys
 import threading
 from collections.abc import Iterator, Sequence
@@ -13,7 +12,7 @@ from typing import Any
 
 from benchmarks.command import run_command
 from mjhab.cli.output import Listing, report
-from mjhab.core.files.cache import write_text
+from mjhab.core.files.cache import write_json, write_text
 from mjhab.evaluation.evaluate import run_evaluation
 from mjhab.evaluation.resolve import PolicyOptions
 from mjhab.evaluation.specs import EvalSpec
@@ -78,7 +77,7 @@ def measure(spec: LatencySpec) -> dict[str, Any]:
                     }
                 )
     found = {"policy": spec.policy, "execute": spec.execute, "rows": rows}
-    write_text(spec.out / RESULT, json.dumps(found, indent=1) + "\n")
+    write_json(spec.out / RESULT, found)
     write_text(spec.out / PAGE, page(found))
     return found
 

@@ -3,7 +3,6 @@ of the physics and leaks: ``python -m benchmarks.soak``."""
 
 from __future__ import annotations
 
-import json
 import sys
 import time
 from collections.abc import Mapping, Sequence
@@ -19,7 +18,7 @@ from benchmarks.command import run_command
 from benchmarks.profile_choice import ProfileChoice, profile_options
 from mjhab.cli.output import Listing, report
 from mjhab.core.errors import UsageError
-from mjhab.core.files.cache import write_text
+from mjhab.core.files.cache import write_json, write_text
 from mjhab.core.files.outputs import check_folder
 from mjhab.core.machine import resident_mb
 from mjhab.core.memory_cache import memory_limit_mb, memory_use, set_memory_limit
@@ -292,7 +291,7 @@ def bench_soak(spec: SoakSpec) -> int:
     found = soak(spec)
     if spec.out is not None:
         name = "generation with the expert" if spec.generate else "random actions"
-        write_text(spec.out / RESULTS, json.dumps(found, indent=1) + "\n")
+        write_json(spec.out / RESULTS, found)
         write_text(spec.out / PICTURE, memory_picture({name: found}))
     rows = [
         (k, ", ".join(f"{n} {c}" for n, c in v.items()) if isinstance(v, dict) else v)

@@ -419,7 +419,6 @@ def find(args: Sequence[str]) -> tuple[Command, Sequence[str]]:
     if first in GROUPS:
         inside = [command.words[1] for command in COMMANDS if command.words[0] == first]
         second = args[1] if len(args) > 1 else ""
-        # These were commands once, and old notes and scripts still call them.
         if first == "bench" and second in DEVELOPERS_BENCHES:
             raise UsageError(
                 f"`mjhab bench {second}` is `python -m benchmarks.{second}` now, in a checkout of mjhab."

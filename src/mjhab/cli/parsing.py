@@ -93,7 +93,6 @@ class Option:
         hint = self.hint
         default = self.default
         shown = self.flag.shown or ("default: none" if default in ((), "", {}) else "")
-        # tyro would name no hint for a positional argument.
         if self.flag.positional and default is dataclasses.MISSING:
             shown = "required"
         if self.keyed is not None:

@@ -53,7 +53,7 @@ def _serve(spec: ViewSpec, json: bool) -> int:
     try:
         source.prepare()
         viewer = Viewer(source, spec.host, spec.port, hold=True)
-    # Ctrl-C while a home is compiled must not leave its workers behind.
+    # Ctrl-C, too, must close what the source has opened.
     except BaseException:
         source.close()
         raise

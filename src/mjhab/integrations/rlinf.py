@@ -82,7 +82,6 @@ class RLinfEnv(gymnasium.Env):
             **{"obs_mode": "rgb", **options}, num_envs=num_envs, autoreset="disabled"
         )
         self.num_envs = num_envs
-        # RLinf moves what it gets to the device of the model itself.
         self.device = torch.device("cpu")
         self.single_action_space = self.env.single_action_space
         self.action_space = self.env.action_space
@@ -224,7 +223,7 @@ class RLinfEnv(gymnasium.Env):
 
     def _metrics(self, infos: Mapping[str, Tensor]) -> dict[str, Tensor]:
         found = {
-            # Clones: RLinf keeps the infos of many steps, and these are changed in place.
+            # Clones, as the worlds' own tensors are changed in place.
             "success_once": self.success_once.clone(),
             "fail_once": self.fail_once.clone(),
             "return": self.returns.clone(),

@@ -55,7 +55,7 @@ def render_data_report(
     for kind in dict.fromkeys(subtask.kind for subtask in subtasks):
         recorded_number(kind)
     plots = force_plots(subtasks)
-    # By identity: shards of one run share the object, and comparing its options would be slow.
+    # By identity: episodes of a shard share the object, and the dicts in it cannot be hashed.
     runs = list({id(run): run for run in found.runs}.values())
     policies = list(dict.fromkeys(run.policy for run in runs))
     rules = "; ".join(dict.fromkeys(rules_of(run.config.get("env", {})) for run in runs))

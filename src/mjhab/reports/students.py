@@ -20,7 +20,7 @@ from typing import Any
 
 from mjhab.core.arithmetic.sums import ordered_sum
 from mjhab.core.errors import MjhabError, UsageError, fault
-from mjhab.core.files.cache import write_text
+from mjhab.core.files.cache import write_json
 from mjhab.core.files.reading import read_json_object
 from mjhab.core.machine import cores
 from mjhab.core.progress import say
@@ -232,7 +232,7 @@ def write_rows(path: Path, rows: Sequence[dict[str, Any]]) -> None:
         "command": "python -m mjhab.reports.students docs/results/students.json RUN EVALUATION",
         "rows": list(table.values()),
     }
-    write_text(path, json.dumps(content, indent=1) + "\n")
+    write_json(path, content)
 
 
 def read_rows(path: Path) -> list[dict[str, Any]]:

@@ -25,7 +25,7 @@ from mjhab.bench.experts.rows import (
 )
 from mjhab.bench.specs import ExpertsSpec
 from mjhab.core.errors import MjhabError
-from mjhab.core.files.cache import write_text
+from mjhab.core.files.cache import write_json, write_text
 from mjhab.core.files.run_folder import REPORT, RunFolder
 from mjhab.core.machine import cores
 from mjhab.data.record.job import Standing
@@ -191,7 +191,7 @@ def write_results(
         for episode in found
     ]
     write_text(spec.out / EPISODES, "".join(f"{line}\n" for line in lines))
-    write_text(spec.out / RESULTS, json.dumps(document, indent=1) + "\n")
+    write_json(spec.out / RESULTS, document)
     write_text(spec.out / TABLE, _csv([*results, *groups], spec.asked.profile))
     write_text(spec.out / REPORT, render_experts(results, groups, config))
     return results

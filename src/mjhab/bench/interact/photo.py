@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import time
 from pathlib import Path
 from typing import Any
@@ -19,7 +18,7 @@ from mjhab.bench.interact.scene import (
 )
 from mjhab.bench.specs import PhotoSpec
 from mjhab.core.arithmetic.sums import ordered_sum
-from mjhab.core.files.cache import write_text
+from mjhab.core.files.cache import write_json, write_text
 from mjhab.core.machine import resident_mb
 from mjhab.core.progress import progress_bar
 from mjhab.core.seeding import stream
@@ -155,7 +154,5 @@ def write_results(
     out: Path, found: dict[str, Any], pictures: dict[int, dict[str, np.ndarray]]
 ) -> None:
     """Write photo.json and report.html into a folder."""
-    text = json.dumps(found, indent=1) + "\n"
-    page = photo_page(found, pictures)
-    write_text(out / "photo.json", text)
-    write_text(out / "report.html", page)
+    write_json(out / "photo.json", found)
+    write_text(out / "report.html", photo_page(found, pictures))

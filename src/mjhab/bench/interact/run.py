@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import json
 import math
 import time
 from collections.abc import Callable, Mapping
@@ -25,7 +24,7 @@ from mjhab.bench.interact.scene import (
 from mjhab.bench.specs import InteractSpec
 from mjhab.core.arrays import to_numpy
 from mjhab.core.errors import wrong_value
-from mjhab.core.files.cache import write_atomic, write_text
+from mjhab.core.files.cache import write_atomic, write_json, write_text
 from mjhab.core.machine import resident_mb
 from mjhab.core.progress import progress_bar
 from mjhab.envs.parts.memory import WorldPictures, check_device_memory
@@ -182,7 +181,7 @@ def affine_commands(actions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         return controller.command(action[None], robot_q)[0]
 
     zero = np.zeros((1, len(controller.robot.joints)))
-    # Computed before the clock runs, as the original replays commands, too.
+    # Computed before the clock runs: a step then only multiplies and adds.
     offset = np.stack([command(action, zero) for action in actions])
     # The command is affine in each joint, so two joint vectors determine it.
     return offset, command(actions[0], zero + 1.0) - offset[0]
@@ -345,8 +344,6 @@ def write_results(
             writer.writeheader()
             writer.writerows(runs)
 
-    text = json.dumps(found, indent=1) + "\n"
-    page = interact_page(found, pictures)
-    write_text(out / "interact.json", text)
+    write_json(out / "interact.json", found)
     write_atomic(out / "interact.csv", table)
-    write_text(out / "report.html", page)
+    write_text(out / "report.html", interact_page(found, pictures))

@@ -69,7 +69,7 @@ def warmup(spec: WarmupSpec, backend: str) -> dict[str, float]:
         "planning of the experts": work.compile_experts,
     }
     if work.config.spawn_rule == "published":
-        # Only published starts begin with an object in the hand.
+        # Only the published rule searches a posture of the arm for every object.
         parts["arms that hold objects"] = work.find_holding_arms
     if backend == "warp":
         parts["MuJoCo Warp (minutes the first time)"] = work.compile_warp

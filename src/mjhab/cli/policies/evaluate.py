@@ -105,7 +105,6 @@ class ProgressSink(Sink[RolloutEnv]):
         self._started = time.perf_counter()
         self._bar.start()
         self._bar.start_task(self._task)
-        # The rate counts from here, so what was there before must not enter it.
         self._bar.update(self._task, completed=self._total - len(episodes))
 
     def close(self) -> None:

@@ -59,7 +59,7 @@ def _run(server: PolicyServer) -> None:
     """Serve until SIGINT or SIGTERM."""
     ended = threading.Event()
     signals = (signal.SIGINT, signal.SIGTERM)
-    # A handler and no KeyboardInterrupt, which could end a request halfway through.
+    # A handler, because SIGTERM would end the process in the middle of an answer.
     before = [signal.signal(number, lambda *_: ended.set()) for number in signals]
     # Signals reach the main thread alone, so that one waits and another serves.
     thread = threading.Thread(target=server.run, daemon=True)

@@ -66,7 +66,6 @@ def make(spec: EpisodesPlansSpec, json: bool) -> int:
 
     asked = spec.asked
     before = written_before(asked, spec.out, spec.subtasks)
-    # Files of another number of episodes would stay among the new ones.
     if before and not spec.overwrite:
         raise fault(before[0], "exists; add --overwrite, or choose another --out.")
     begun = time.perf_counter()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import atexit
 import contextlib
+import json
 import os
 import secrets
 import shutil
@@ -11,7 +12,7 @@ import tempfile
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from mjhab.core.errors import MjhabError, UsageError
 from mjhab.core.files.outputs import naming_file
@@ -175,3 +176,8 @@ def write_atomic(path: Path, write: Callable[[Path], object]) -> None:
 def write_text(path: Path, text: str) -> None:
     """Write ``text`` in UTF-8 so that a reader sees the old file or the new one, never a part."""
     write_atomic(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
+
+
+def write_json(path: Path, value: Any, indent: int = 1) -> None:
+    """Write JSON data as `write_text` does, with an end of line."""
+    write_text(path, json.dumps(value, indent=indent) + "\n")

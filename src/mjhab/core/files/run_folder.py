@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, ClassVar, Self
 
 from mjhab.core.errors import UsageError, wrong_value
-from mjhab.core.files.cache import write_text
+from mjhab.core.files.cache import write_json, write_text
 from mjhab.core.files.locking import WriteLock, lock_path, refuse_if_written
 from mjhab.core.files.outputs import check_output
 from mjhab.core.files.reading import read_json_object
@@ -106,7 +106,7 @@ class RunFolder:
                 folder._delete_own()
             elif resume:
                 folder._take_up()
-            write_text(path / cls.CONFIG_FILE, json.dumps(config, indent=2) + "\n")
+            write_json(path / cls.CONFIG_FILE, config, indent=2)
         except BaseException:
             lock.release()
             raise
@@ -130,7 +130,7 @@ class RunFolder:
 
     def write_summary(self, summary: Mapping[str, Any]) -> None:
         """Write summary.json in one piece."""
-        write_text(self.path / SUMMARY, json.dumps(summary, indent=2) + "\n")
+        write_json(self.path / SUMMARY, summary, indent=2)
 
     def write_report(self, html: str) -> Path:
         """Write report.html in one piece and return its path."""

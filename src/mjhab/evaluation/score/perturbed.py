@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -11,7 +10,7 @@ from typing import Any
 from mjhab.config.env import EnvConfig
 from mjhab.config.perturbing import PERTURBATIONS, axes_text
 from mjhab.core.conventions.images import RGB, TARGET_RGB
-from mjhab.core.files.cache import write_text
+from mjhab.core.files.cache import write_json, write_text
 from mjhab.envs.observations.modes import DRAWN_OUTPUTS, POINTCLOUD, mode_outputs
 from mjhab.evaluation.evaluate import EvalSpec, run_evaluation
 from mjhab.evaluation.parts import describe_policy
@@ -220,7 +219,7 @@ def _write(
         CLEAN: {"success_once": robustness.success_once, "episodes": len(clean)},
         "axes": [arm.details() for arm in robustness.arms],
     }
-    write_text(spec.folder / ROBUSTNESS_FILE, json.dumps(content, indent=1) + "\n")
+    write_json(spec.folder / ROBUSTNESS_FILE, content)
     write_text(spec.folder / ROBUSTNESS_PAGE, robustness_page(robustness, clean))
 
 

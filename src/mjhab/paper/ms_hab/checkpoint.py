@@ -69,7 +69,7 @@ def load_network(path: Path) -> tuple[str, Network]:
     used = {
         key: value
         for key, value in parameters.items()
-        # Critics come in other sizes than the actor, and nothing here asks them.
+        # Nothing here asks critics, whatever their form.
         if not key.startswith(layout.training_only)
     }
     shapes = {key: shapes[key] for key in used}
@@ -88,7 +88,7 @@ def load_network(path: Path) -> tuple[str, Network]:
             f"has the keys of MS-HAB's {layout.name.upper()} network, but not its layout: {'; '.join(wrong)}. "
             "Give a checkpoint as MS-HAB's train scripts save it (policy.pt), with images of 128 x 128.",
         )
-    # Before loading: NaN in a layer would only show as a robot that does not move.
+    # Before loading: NaN in a layer would only show in the actions.
     check_finite(path, used)
     network.load_state_dict(used)
     return layout.name, network.eval().requires_grad_(False)

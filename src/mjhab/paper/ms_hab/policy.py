@@ -145,7 +145,6 @@ class MsHabPolicy:
         for start in range(0, len(due), at_once):
             self._plan(due[start : start + at_once], info)
         actions = np.stack([planned.popleft() for planned in self._planned])
-        # Networks give these some value, to which nothing in training corresponded.
         actions[:, HEAD_ACTIONS] = 0.0
         return actions
 

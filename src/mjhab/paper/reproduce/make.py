@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 import shutil
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mjhab.core.errors import fault
-from mjhab.core.files.cache import write_text
+from mjhab.core.files.cache import write_json, write_text
 from mjhab.core.files.reading import read_json_object
 from mjhab.core.files.run_folder import CONFIG, RunFolder
 from mjhab.evaluation.evaluate import EvalSpec, run_evaluation
@@ -130,7 +129,7 @@ def make_row(spec: TableSpec, row: TableRow, sinks: Sinks) -> None:
             judged = [_judge_task(spec, row, trained, variant, sinks)]
         found[variant.name] = measured(runs, judged)
         # After every variant: training takes hours, and an interrupt must cost one only.
-        write_text(path, json.dumps(found, indent=1) + "\n")
+        write_json(path, found)
 
 
 Trained = tuple[TableRow, str, Path]

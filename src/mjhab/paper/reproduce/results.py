@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from mjhab.core.arithmetic.sums import ordered_sum
-from mjhab.core.files.cache import write_text
+from mjhab.core.files.cache import write_json, write_text
 from mjhab.core.files.reading import read_json_object
 from mjhab.data.store.episode_data import last_label
 from mjhab.paper.reproduce.means import means
@@ -143,7 +142,7 @@ def write_results(out: Path, rows: Sequence[TableRow]) -> list[dict[str, Any]]:
         "rows": found,
         "means": means(found),
     }
-    write_text(out / RESULTS, json.dumps(content, indent=1) + "\n")
+    write_json(out / RESULTS, content)
     write_text(out / REPORT, page(found, config))
     return found
 

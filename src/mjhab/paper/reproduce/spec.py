@@ -313,7 +313,6 @@ def table_config(spec: TableSpec) -> dict[str, Any]:
         "backend": spec.asked.backend,
     }
     policies = {} if spec.policies is None else {"policies": str(spec.policies)}
-    # Only what was given: folders of earlier versions lack these names and must still resume.
     given: dict[str, Any] = {
         name: getattr(spec, name) for name in ("demos", "updates") if getattr(spec, name)
     }

@@ -133,7 +133,7 @@ class MsHabEnv(SceneParts, gymnasium.Env):
         if reconfigure and not whole:
             raise UsageError("reconfigure=True is for all worlds: leave out env_idx.")
         reconfigure = reconfigure or (self.arguments.redraws_homes and whole)
-        # Scripts that look for "reconfigure" in info see the first homes as new ones.
+        # The first reset may choose homes, as every one that builds them.
         reconfigure = reconfigure or not self._ever_reset
         seeds = self._seeds(seed)
         self._begin(begun, seeds, options, reconfigure)
@@ -241,7 +241,7 @@ class MsHabEnv(SceneParts, gymnasium.Env):
 
     def _info(self, reset: bool = False) -> dict[str, torch.Tensor]:
         worlds = self.worlds
-        # After a step the outcome counts, which a reset of the worlds themselves would replace.
+        # After a step the outcome counts: `signals` may be of a subtask that has begun since.
         signals = worlds.signals if reset else worlds.outcome_signals
         assert signals is not None
         return self._teller().info(signals, self.elapsed_steps)

@@ -242,7 +242,7 @@ class SceneParts:
             )
         worlds: Any = self.worlds
         shown = worlds.render_worlds(range(worlds.num_envs), HUMAN_VIEW_PX, HUMAN_VIEW_PX)
-        # torch takes no array with negative strides, as flipped pictures have.
+        # torch takes no array with negative strides.
         return torch.from_numpy(np.ascontiguousarray(shown))
 
 

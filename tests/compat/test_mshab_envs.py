@@ -523,6 +523,16 @@ def test_arguments_without_meaning_are_told_once(caplog: Any) -> None:
     )
 
 
+def test_homes_are_built_anew_by_the_number_of_worlds_unless_told() -> None:
+    for given, anew in (
+        ({}, True),
+        ({"reconfiguration_freq": None, "num_envs": 2}, False),
+        ({"num_envs": 2, "reconfiguration_freq": 1}, True),
+        ({"reconfiguration_freq": 0}, False),
+    ):
+        assert read_arguments("pick", given).redraws_homes is anew, given
+
+
 def test_limits_become_our_options() -> None:
     configs = default_configs("")
     ours = overrides_of(configs, ("pick", "place", "open", "close", "navigate"))

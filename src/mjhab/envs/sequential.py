@@ -20,7 +20,7 @@ from mjhab.core.typed.options import taken
 from mjhab.envs.host_sensing import HostSensing
 from mjhab.envs.loop import TaskLoop
 from mjhab.envs.parts.memory import check_memory
-from mjhab.envs.parts.nav_distance import NavDistance
+from mjhab.envs.parts.nav_distance import GoalPaths, NavDistance
 from mjhab.envs.parts.observing import Observer
 from mjhab.envs.parts.perturbing import Perturber
 from mjhab.envs.parts.plan_tables import PlanTables
@@ -73,7 +73,9 @@ class SequentialTaskEnv(TaskLoop, VectorEnv):
         self._check_body = HostBodyCheck(self.task_config)
         self.source = EpisodeSource(self.sim, config, self.task_config, setting.file)
         self.starts = self.source.starts
-        self.nav = NavDistance(setting.layout, self.num_envs, self.starts.sampler.map)
+        self.nav: GoalPaths = NavDistance(
+            setting.layout, self.num_envs, self.starts.sampler.map
+        )
         self._make_parts(lambda inputs: self.nav.at(inputs.world.base_pose[:, BASE_XY]))
         self.observer = Observer(
             self.sim,

@@ -12,6 +12,7 @@ import mjhab.envs as envs
 from mjhab.core.errors import UsageError
 from mjhab.envs.observations.modes import camera_key, image_size
 from mjhab.envs.observations.state import state_dim, unsensed_dim
+from mjhab.envs.sequential import SequentialTaskEnv
 from mjhab.evaluation.served.action_spaces import ActionReader, space_named
 from mjhab.evaluation.served.own_state import split_state
 
@@ -48,7 +49,7 @@ class LeRobotEnv(gymnasium.Env):
 
     def __init__(self, actions: str = "joint", **options: Any) -> None:
         self.render_mode = "rgb_array"
-        self._env: Any = envs.make(
+        self._env: SequentialTaskEnv = envs.make(
             **{"subtask": "pick", "split": "val", **options},
             num_envs=1,
             threads=1,

@@ -19,6 +19,7 @@ from torch import Tensor
 import mjhab.envs as envs
 from mjhab.core.errors import unknown_name, wrong_value
 from mjhab.envs.observations.modes import STATE_KEY, camera_key
+from mjhab.envs.sequential import SequentialTaskEnv
 
 STARTS = 1000
 """Default number of start states that groups are drawn from: episodes 0 to STARTS - 1."""
@@ -78,7 +79,7 @@ class RLinfEnv(gymnasium.Env):
         self.total_num_group_envs = int(_entry(cfg, "num_starts", STARTS))
         options = dict(_entry(cfg, "init_params", {}))
         # Resets are made here, where groups of equal starts are known.
-        self.env: Any = envs.make_train(
+        self.env: SequentialTaskEnv = envs.make_train(
             **{"obs_mode": "rgb", **options}, num_envs=num_envs, autoreset="disabled"
         )
         self.num_envs = num_envs

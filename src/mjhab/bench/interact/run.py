@@ -31,6 +31,7 @@ from mjhab.envs.parts.memory import WorldPictures, check_device_memory
 from mjhab.reports.interact import interact_page
 from mjhab.robots.controllers import make_controller
 from mjhab.sim.backends import open_simulator, resolve
+from mjhab.sim.mujoco.cpu import CpuSimulator
 
 IMAGE_SIDE_PX = 128
 PICTURE_OUTPUTS = ("rgb", "depth")
@@ -89,7 +90,7 @@ class InteractBench:
             pictures = WorldPictures(mode, IMAGE_SIDE_PX)
             check_device_memory(worlds, pictures, device, copies=0, world_mb=WORLD_MB)
         controller = make_controller(STIFF_BODY_MODE, 1)
-        self.sim: Any = open_simulator(
+        self.sim = open_simulator(
             backend,
             scene.layout,
             worlds,
@@ -99,7 +100,7 @@ class InteractBench:
         )
         self._start = np.tile(scene.qpos, (worlds, 1))
         self._homes = [scene.home] * worlds
-        self._draw = self._drawer(backend, threads) if render else None
+        self._draw = self._drawer(threads) if render else None
         self.reset()
         self._offset: Any
         self._moves: Any
@@ -111,21 +112,22 @@ class InteractBench:
             self._offset = tensor(self._offset)
             self._moves = tensor(self._moves)
 
-    def _drawer(self, backend: str, threads: int) -> Callable[[], Mapping[str, Any]]:
-        if backend == "warp":
+    def _drawer(self, threads: int) -> Callable[[], Mapping[str, Any]]:
+        sim = self.sim
+        if not isinstance(sim, CpuSimulator):
             from mjhab.render.warp.cameras import WarpCameras
 
             return WarpCameras(
-                self.sim,
+                sim,
                 self.scene.layout.robot.camera_names,
                 (IMAGE_SIDE_PX, IMAGE_SIDE_PX),
                 PICTURE_OUTPUTS,
             ).draw
         from mjhab.render.home_scene import HomeRenderer
 
-        renderer = HomeRenderer(self.sim, threads)
+        renderer = HomeRenderer(sim, threads)
         return lambda: renderer.robot_views(
-            self.sim.state(), self._homes, IMAGE_SIDE_PX, PICTURE_OUTPUTS
+            sim.state(), self._homes, IMAGE_SIDE_PX, PICTURE_OUTPUTS
         )
 
     def reset(self) -> None:

@@ -3,12 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Protocol
 
 import numpy as np
 
 from mjhab.core.errors import unknown_name
 from mjhab.layout.layout import Layout
 from mjhab.scenes.freespace import FreeMap, look_up, shared_map
+
+
+class GoalPaths(Protocol):
+    """Lengths of the paths to the goals of W worlds, however they are found."""
+
+    def begin(self, world: int, home: str, goal_xy: np.ndarray) -> None:
+        """Set the goal (2,) [m] of a world."""
+        ...
+
+    def at(self, base_xy: np.ndarray) -> np.ndarray:
+        """(W,) lengths [m] from base positions (W, 2); 0 in worlds without a goal."""
+        ...
 
 
 class NavDistance:

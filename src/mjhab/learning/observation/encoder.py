@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 from mjhab.core.arrays import Array, as_like, namespace, zeros
 from mjhab.core.conventions.names import Conventions
@@ -26,6 +26,7 @@ from mjhab.learning.observation.state import observed_state
 from mjhab.tasks.subtasks.registry import SUBTASKS
 
 if TYPE_CHECKING:
+    from mjhab.envs.device.env import DeviceEnv
     from mjhab.envs.parts.worlds import PolicyWorlds
 
 
@@ -177,7 +178,9 @@ class ObservationEncoder:
         if episodes is None:
             # On a device `info` describes no episodes; environments there that train have one subtask per episode.
             for world in namespace(self._fresh).nonzero(self._fresh)[0].tolist():
-                self._tell_world(world, _described(self._env, world), 0, info)
+                self._tell_world(
+                    world, cast("DeviceEnv", self._env).episode_spec(world), 0, info
+                )
             return
         for world, episode in enumerate(episodes):
             if episode is None:
@@ -260,11 +263,6 @@ class LiveSource:
 
     def image(self, camera: str, output: str) -> Array:
         return self.obs[f"{IMAGE_KEY_PREFIX}{camera}/{output}"]
-
-
-def _described(env: Any, world: int) -> Mapping[str, Any]:
-    """The episode of a world of an environment on a device."""
-    return env.episode_spec(world)
 
 
 def _float32(array: Array) -> Array:

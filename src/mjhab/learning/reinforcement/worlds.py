@@ -6,7 +6,7 @@ import math
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 import torch
@@ -14,7 +14,11 @@ from torch import Tensor
 
 from mjhab.core.errors import wrong_value
 from mjhab.core.seeding import stream
+from mjhab.envs.loop import TaskLoop
 from mjhab.learning.reinforcement.agent_encoder import AgentEncoder, AgentObs
+
+if TYPE_CHECKING:
+    from mjhab.envs.device.env import DeviceEnv
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,7 +87,7 @@ class Worlds:
 
     def __init__(
         self,
-        env: Any,
+        env: TaskLoop,
         encoder: AgentEncoder,
         seed: int,
         rules: TrainingRules | None = None,
@@ -122,7 +126,7 @@ class Worlds:
 
     def _begin(self, seed: int) -> AgentObs:
         if not self._numpy:
-            self.env.draw_starts(seed)
+            cast("DeviceEnv", self.env).draw_starts(seed)
         obs, info = self.env.reset(seed=seed if self._numpy else None)
         every = ~self._none
         self._succeeded = self._none

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import torch
@@ -27,6 +27,7 @@ from mjhab.compat.mshab.worlds.views import (
 )
 from mjhab.core.errors import UsageError
 from mjhab.envs.loop import TaskLoop
+from mjhab.envs.sequential import SequentialTaskEnv
 from mjhab.tasks.subtasks.registry import number_of
 
 HUMAN_VIEW_PX = 512
@@ -240,7 +241,7 @@ class SceneParts:
             raise UsageError(
                 "views for humans are drawn on the host: take sim_backend='cpu'."
             )
-        worlds: Any = self.worlds
+        worlds = cast(SequentialTaskEnv, self.worlds)
         shown = worlds.render_worlds(range(worlds.num_envs), HUMAN_VIEW_PX, HUMAN_VIEW_PX)
         # torch takes no array with negative strides.
         return torch.from_numpy(np.ascontiguousarray(shown))

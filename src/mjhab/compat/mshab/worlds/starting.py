@@ -21,6 +21,7 @@ from mjhab.core.conventions.hand_turns import AS_MANISKILL
 from mjhab.core.errors import warn_once
 from mjhab.envs.catalog import make
 from mjhab.envs.loop import TaskLoop
+from mjhab.envs.sequential import SequentialTaskEnv
 from mjhab.scenes.shading import PATH, RASTER
 from mjhab.sim.backends import resolve
 from mjhab.tasks.household.registry import TASKS
@@ -61,7 +62,7 @@ def open_setting(arguments: Arguments) -> DrawnWorlds:
     return DrawnWorlds(worlds, PlanDraw(arguments, starts, home_numbers(starts.plans)))
 
 
-def count_ways_by_maps(worlds: Any, starts: PlanStarts) -> None:
+def count_ways_by_maps(worlds: TaskLoop, starts: PlanStarts) -> None:
     """Let Navigate count its way by the maps of its homes, where all of them are there."""
     homes = {
         plan.build_config_name or "": home_of(plan.build_config_name)
@@ -74,13 +75,13 @@ def count_ways_by_maps(worlds: Any, starts: PlanStarts) -> None:
             f"navigable positions: {len(lacking)} of {len(homes)} homes have none ({lacking[0]}), so the way to the "
             "goal is counted on mjhab's own map of the floor in all homes."
         )
-    elif found and not hasattr(worlds, "nav"):
+    elif found and isinstance(worlds, SequentialTaskEnv):
+        maps = {home: found[scene] for scene, home in homes.items()}
+        worlds.nav = MapWays(maps, worlds.num_envs)
+    elif found:
         warn_once(
             "navigable positions are read on the CPU alone: on a device the way to the goal is counted on mjhab's map."
         )
-    elif found:
-        maps = {home: found[scene] for scene, home in homes.items()}
-        worlds.nav = MapWays(maps, worlds.num_envs)
 
 
 def home_numbers(plans: Any) -> dict[str, int]:

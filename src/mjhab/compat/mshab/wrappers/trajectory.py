@@ -11,6 +11,7 @@ import numpy as np
 
 from mjhab.compat.mshab.tools.json_files import dump_json
 from mjhab.compat.mshab.tools.labels import get_episode_label_and_events
+from mjhab.compat.mshab.worlds.env import MsHabEnv
 from mjhab.core.version import __version__
 from mjhab.data.imports.ms_hab_layout import TRAJECTORY
 
@@ -36,7 +37,7 @@ class TrajectoryFile:
     def __init__(
         self,
         path: Path,
-        env: Any,
+        env: MsHabEnv,
         max_episode_steps: int | None,
         about: Mapping[str, Any],
     ) -> None:
@@ -111,7 +112,7 @@ class TrajectoryFile:
 
 
 def described_episode(
-    env: Any, world: int, arrays: Mapping[str, Any], labelled: bool
+    env: MsHabEnv, world: int, arrays: Mapping[str, Any], labelled: bool
 ) -> dict[str, Any]:
     """What the JSON file says of the episode that a world has just finished."""
     info = arrays["info"]

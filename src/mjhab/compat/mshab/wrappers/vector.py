@@ -147,7 +147,7 @@ class ManiSkillVectorEnv(VectorEnv):
         self._env.close()
 
 
-def find_max_episode_steps_value(env: Any) -> int | None:
+def find_max_episode_steps_value(env: gymnasium.Env | ManiSkillVectorEnv) -> int | None:
     """Control steps after which time ends an episode of an environment in its wrappers; None if it does not."""
     at = env._env if isinstance(env, ManiSkillVectorEnv) else env
     while at is not None:

@@ -225,7 +225,7 @@ def test_textures_are_those_of_others_of_the_same_kind() -> None:
     found = {}
     for level in (1, 5):
         amounts = {n: q.levels[level - 1] for n, q in axis.quantities.items()}
-        drawn = Drawn("colours", level, 0, 3, amounts)
+        drawn = Drawn(0, 3, "colours", level, amounts)
         looks = found[level] = axis.looks(drawn, image)
         np.testing.assert_array_equal(image[looks], image)
         changed = (looks != np.arange(200)).mean()
@@ -308,7 +308,7 @@ def test_no_level_of_language_leaks_an_id_or_loses_the_request() -> None:
         amounts = {n: q.levels[level - 1] for n, q in axis.quantities.items()}
         for number, text in enumerate(SENTENCES):
             for index in range(20):
-                drawn = Drawn("language", level, 0, index, amounts)
+                drawn = Drawn(0, index, "language", level, amounts)
                 said = axis.sentence(drawn, text, number)
                 assert said == axis.sentence(drawn, text, number)
                 assert said.isprintable() and not re.search(r"[_{}]|\d", said)
@@ -316,7 +316,7 @@ def test_no_level_of_language_leaks_an_id_or_loses_the_request() -> None:
                     assert text in said and said != text
                 seen.setdefault(level, set()).add(said)
     assert all(len(said) > 30 for said in seen.values())
-    assert axis.sentence(Drawn("language", 5, 0, 0, amounts), "", 0) == ""
+    assert axis.sentence(Drawn(0, 0, "language", 5, amounts), "", 0) == ""
 
 
 def test_synonyms_and_typing_errors() -> None:

@@ -193,7 +193,7 @@ def spawn_bytes(folder: Path) -> bytes:
     target = Target("024_bowl_:0000", point, point, "", "", point)
     pose = np.zeros((3, 7))
     row = SpawnRow(
-        Episode("set_table", "train", 0, 0, "home", pose, np.zeros(2), (target,)),
+        Episode(0, 0, "set_table", "train", "home", pose, np.zeros(2), (target,)),
         np.zeros(9),
         0,
         False,

@@ -18,7 +18,7 @@ from mjhab.core.errors import MjhabError, UsageError, about, fault, wrong_value
 from mjhab.core.names import check_name
 from mjhab.core.registration.plugins import raised_text
 from mjhab.core.registration.registry import Registry, check_item
-from mjhab.core.seeding import stream
+from mjhab.core.seeding import EpisodeId, stream
 from mjhab.robots.robot import Robot
 
 LEVELS = 5
@@ -48,22 +48,18 @@ class Quantity:
 
 
 @dataclass(frozen=True)
-class Drawn:
+class Drawn(EpisodeId):
     """What one axis does in one episode.
 
     Attributes:
         axis: name of the perturbation.
         level: 1 to 5.
-        seed: seed of the episode.
-        index: index of the episode.
         amounts: the numbers of the level, by name of the quantity.
         values: what `Perturbation.draw` drew of them, plain data.
     """
 
     axis: str
     level: int
-    seed: int
-    index: int
     amounts: Mapping[str, float]
     values: Mapping[str, Any] = field(default_factory=dict)
 
@@ -389,9 +385,9 @@ class PerturbationPlan:
             level = self._level(axis.name, seed, index)
             if level:
                 amounts = axis.amounts(level)
-                bare = Drawn(axis.name, level, seed, index, amounts)
+                bare = Drawn(seed, index, axis.name, level, amounts)
                 values = called(axis.name, "draw", bare, robot)
-                found.append(Drawn(axis.name, level, seed, index, amounts, dict(values)))
+                found.append(Drawn(seed, index, axis.name, level, amounts, dict(values)))
         return tuple(found)
 
     def shifts(self) -> tuple[float, ...]:
@@ -403,7 +399,7 @@ class PerturbationPlan:
             highest = self.fixed.get(axis.name, self.random.get(axis.name, 0))
             lowest = highest if axis.name in self.fixed else 1
             for level in range(lowest, highest + 1):
-                bare = Drawn(axis.name, level, 0, 0, axis.amounts(level))
+                bare = Drawn(0, 0, axis.name, level, axis.amounts(level))
                 found.add(float(called(axis.name, "furniture", bare)))
         return tuple(sorted(found))
 

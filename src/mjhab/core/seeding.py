@@ -3,8 +3,17 @@
 from __future__ import annotations
 
 import zlib
+from dataclasses import dataclass
 
 import numpy as np
+
+
+@dataclass(frozen=True, eq=False)
+class EpisodeId:
+    """The seed and the index of an episode, of which all that happens in it is a function."""
+
+    seed: int
+    index: int
 
 
 def stream(seed: int, *keys: int | str) -> np.random.Generator:

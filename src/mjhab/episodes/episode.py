@@ -12,19 +12,18 @@ from typing import Any
 import numpy as np
 
 from mjhab.core.files.cache import write_cached
+from mjhab.core.seeding import EpisodeId
 from mjhab.scenes.spec import Vec3
 from mjhab.tasks.plan import Target
 
 
 @dataclass(frozen=True, eq=False)
-class Episode:
+class Episode(EpisodeId):
     """Settled objects of an episode and its targets; the robot's spawn is not part of it.
 
     Attributes:
         task: household task.
         split: split of its home.
-        seed: seed of the episode.
-        index: index of the episode.
         home: name of its home.
         object_pose: (N, 7) pose of every object slot, world frame [m, wxyz].
         link_q: (L,) joint positions of drawers and doors [m or rad].
@@ -35,8 +34,6 @@ class Episode:
 
     task: str
     split: str
-    seed: int
-    index: int
     home: str
     object_pose: np.ndarray
     link_q: np.ndarray
@@ -82,7 +79,7 @@ def episode_of(
     targets = tuple(_target(entry) for entry in content["targets"])
     skipped = tuple(content.get("skipped_homes", ()))
     return Episode(
-        task, split, seed, index, content["home"], pose, link_q, targets, skipped
+        seed, index, task, split, content["home"], pose, link_q, targets, skipped
     )
 
 

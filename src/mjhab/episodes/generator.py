@@ -182,10 +182,10 @@ class EpisodeMaker:
         ):
             return None
         return Episode(
-            self.task,
-            self.split,
             seed,
             index,
+            self.task,
+            self.split,
             home.name,
             pose,
             settled[a.link_q],

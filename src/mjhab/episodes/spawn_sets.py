@@ -490,10 +490,10 @@ class SpawnSet:
         k = self.number(index)
         rows = self.columns
         episode = Episode(
-            self.recipe.task,
-            self.recipe.split,
             self.recipe.seed if seed is None else seed,
             index,
+            self.recipe.task,
+            self.recipe.split,
             str(rows["home"][k]),
             rows["object_pose"][k],
             rows["link_q"][k],

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from mjhab.core.names import check_name
+from mjhab.core.seeding import EpisodeId
 from mjhab.tasks.instructions import BY_TELEPORT, MAX_INSTRUCTION_CHARACTERS
 from mjhab.tasks.plan import GOAL_OF
 
@@ -108,7 +109,7 @@ class SubtaskRecord:
 
 
 @dataclass(frozen=True)
-class EpisodeRecord:
+class EpisodeRecord(EpisodeId):
     """One finished episode.
 
     ``subtasks`` holds the subtasks that ended; those never reached are absent. ``completed`` counts the subtasks of the
@@ -127,8 +128,6 @@ class EpisodeRecord:
     folder and in those of older versions, and takes no part in comparisons.
     """
 
-    seed: int
-    index: int
     home: str
     task: str
     split: str

@@ -421,10 +421,10 @@ def test_states_of_furniture_that_is_welded_unless_asked_for() -> None:
     assert number_of_root(opening, home, episode, object_poses(opening, episode)) == 0
     assert number_of_root(welded, home, episode, object_poses(welded, episode)) == 0
     made = Episode(
+        0,
+        0,
         "tidy_house",
         "train",
-        0,
-        0,
         home.name,
         object_poses(opening, episode),
         np.array([*found.values()]),

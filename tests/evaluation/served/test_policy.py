@@ -16,8 +16,8 @@ from mjhab.evaluation.parts import close_policy, requests_of
 from mjhab.evaluation.resolve import PolicyOptions, inspect_policy, resolve_policy
 from mjhab.evaluation.served.action_spaces import space_named
 from mjhab.evaluation.served.twin import (
+    EpisodeStep,
     ObservationAdapter,
-    Place,
     TwinResponder,
     TwinSession,
 )
@@ -447,7 +447,7 @@ def test_twins_follow_their_episodes_as_worlds_of_a_batch_come_and_go() -> None:
     session = TwinSession(cast(Any, Lender()))
     first = [twin for twin, _ in session._assigned([part(0, 0), part(1, 0)])]
     for twin, index in zip(first, (0, 1), strict=True):
-        twin.expects = Place(0, index, 1)
+        twin.expects = EpisodeStep(0, index, 1)
     # Episode 0 is over; episode 1 comes first now, and a new one beside it.
     (one, two), (other, three) = session._assigned([part(1, 1), part(2, 0)])
     assert one is first[1] and other is first[0]

@@ -134,7 +134,7 @@ def run_check(spec: CheckSpec, json: bool) -> int:
     result = read_result(spec.file)
     total = min(CHECKED_EPISODES, len(result.episodes))
     with progress_bar("replaying", total) as advance:
-        found = check(result, advance, spec.seed, spec.asked.assets)
+        found = check(result, advance, spec.env.get("seed"), spec.asked.assets)
     for name, what in list(found.wrong.items())[:_MOST_SHOWN]:
         say(f"{name}: {what}")
     exact = found.episodes - len(found.wrong) - len(found.inexact)

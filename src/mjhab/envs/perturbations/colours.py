@@ -72,7 +72,7 @@ def _kept_mixes(level: int, seed: int, index: int) -> np.ndarray:
     size = {
         name: quantity.levels[level - 1] for name, quantity in COLOURS.quantities.items()
     }
-    random = Drawn(COLOURS.name, level, seed, index, size).stream()
+    random = Drawn(seed, index, COLOURS.name, level, size).stream()
     hue = np.radians(size["hue"]) * random.uniform(-1.0, 1.0, IDS)
     saturation = 1.0 + size["saturation"] * random.uniform(-1.0, 1.0, IDS)
     brightness = 1.0 + size["brightness"] * random.uniform(-1.0, 1.0, IDS)

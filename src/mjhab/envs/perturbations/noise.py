@@ -88,7 +88,7 @@ class NoiseAxis(Perturbation):
 
 def _bare(level: int, seed: int, index: int) -> Drawn:
     """The axis in an episode, for its streams alone."""
-    return Drawn(NOISE.name, level, seed, index, {})
+    return Drawn(seed, index, NOISE.name, level, {})
 
 
 @lru_cache(maxsize=EPISODES_KEPT)

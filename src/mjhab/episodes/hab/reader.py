@@ -153,10 +153,10 @@ class FileEpisodes:
         """
         found = self.settled(index)[0]
         return Episode(
-            found.task,
-            found.split,
             seed,
             index,
+            found.task,
+            found.split,
             found.home,
             found.object_pose,
             found.link_q,
@@ -244,7 +244,7 @@ class FileEpisodes:
         rest = Rest(hab.instances, moved, np.arccos(np.clip(upright, -1.0, 1.0)))
         targets = file_targets(self.layout, home, hab, rested, root, self.task)
         return Episode(
-            self.task, home.split, 0, row, home.name, rested, after[a.link_q], targets
+            0, row, self.task, home.split, home.name, rested, after[a.link_q], targets
         ), rest
 
 

@@ -10,7 +10,7 @@ from typing import Annotated, Any, ClassVar
 
 from mjhab.config.env_spec import EnvSpec, env_options
 from mjhab.config.perturbing import axes_text, parse_axes
-from mjhab.core.typed.bounds import SEED, Bound, Output
+from mjhab.core.typed.bounds import Bound, Output
 from mjhab.core.typed.flags import Flag
 from mjhab.core.typed.options import take_options
 from mjhab.evaluation.specs import OfServer, given_to_server
@@ -141,12 +141,16 @@ class CheckSpec(EnvSpec):
 
     file: Annotated[Path, Flag(metavar="FILE", positional=True)]
     """The result file."""
-    seed: Annotated[int | None, Flag(shown="default: another one every time"), SEED] = (
-        None
-    )
-    """Seed of the choice of episodes, to repeat a check."""
-    env: Annotated[Mapping[str, Any], env_options("assets")] = field(default_factory=dict)
-    """The homes, which must be those of the score: fields of `EnvConfig`."""
+    env: Annotated[
+        Mapping[str, Any],
+        env_options(
+            "assets",
+            "seed",
+            docs={"seed": "Seed of the choice of episodes, to repeat a check."},
+            shown={"seed": "default: another one every time"},
+        ),
+    ] = field(default_factory=dict)
+    """The homes, which must be those of the score, and the seed: fields of `EnvConfig`."""
 
 
 @dataclass(frozen=True)

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from mjhab.core.errors import MjhabError, UsageError, missing_field, wrong_value
+from mjhab.core.seeding import EpisodeId
 from mjhab.core.typed.options import with_tuples
 from mjhab.core.version import __version__
 from mjhab.data.record.provenance import TRAIN_MAKER
@@ -39,11 +40,9 @@ BUILTIN = "builtin"
 
 
 @dataclass(frozen=True)
-class Place:
+class EpisodeStep(EpisodeId):
     """Identifies a control step of an episode."""
 
-    seed: int
-    index: int
     step: int
 
 
@@ -53,7 +52,7 @@ class ObservationAdapter:
 
     env: SequentialTaskEnv
     policy: Policy
-    expects: Place | None = None
+    expects: EpisodeStep | None = None
 
 
 class TwinResponder:
@@ -234,14 +233,14 @@ def _act(twin: ObservationAdapter, part: Mapping[str, Any]) -> np.ndarray:
     return policy.act(obs, info)
 
 
-def _place_of(part: Mapping[str, Any]) -> Place:
+def _place_of(part: Mapping[str, Any]) -> EpisodeStep:
     world = _mapping(part.get("world"), "world")
     episode = _mapping(world.get("episode"), "episode")
     numbers = (episode.get("seed"), episode.get("index"), part.get("step"))
     if not all(isinstance(number, int | np.integer) for number in numbers):
         raise wrong_value("seed, index and step", numbers, "integers", where="episode")
     seed, index, step = (int(number) for number in numbers if number is not None)
-    return Place(seed, index, step)
+    return EpisodeStep(seed, index, step)
 
 
 def _own_parts(request: Mapping[str, Any], batch: int | None) -> list[Mapping[str, Any]]:

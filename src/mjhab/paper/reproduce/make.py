@@ -320,7 +320,7 @@ def _train_rewarded(
     common["env"] |= {
         "backend": spec.asked.backend,
         "device": spec.device,
-        "seed": spec.asked.seed + training.seed,
+        "seed": spec.asked.seed + training.seed_shift,
     }
     algorithm = training.algorithm or algorithm_of(row, training.column)
     # Studies show how the policies learn; the others only what they are worth in the end.

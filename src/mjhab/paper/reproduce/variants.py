@@ -59,12 +59,12 @@ class Reinforcement:
 
     column: one of `rows.POLICY_COLUMNS`, says what each policy is for.
     algorithm: sac or ppo; "" for that of the column.
-    seed: added to that of the request.
+    seed_shift: added to the seed of the request.
     """
 
     column: str
     algorithm: str = ""
-    seed: int = 0
+    seed_shift: int = 0
 
 
 STYLES: dict[str, tuple[str, ...]] = {
@@ -182,7 +182,9 @@ VARIANTS: dict[str, tuple[Variant, ...]] = {
         Variant(RL_ALL, "one policy for all", reinforcement=Reinforcement(RL_ALL)),
     ),
     CURVES: tuple(
-        Variant(f"seed_{k}", f"seed + {k}", reinforcement=Reinforcement(RL_ALL, seed=k))
+        Variant(
+            f"seed_{k}", f"seed + {k}", reinforcement=Reinforcement(RL_ALL, seed_shift=k)
+        )
         for k in range(SEEDS)
     ),
     CHOICES: (

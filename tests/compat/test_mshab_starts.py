@@ -30,7 +30,8 @@ from mjhab.compat.mshab.files.spawn_data import (
 from mjhab.compat.mshab.files.subtasks import CloseSubtask, PickSubtask
 from mjhab.compat.mshab.worlds import starting
 from mjhab.compat.mshab.worlds.arguments import read_arguments
-from mjhab.config.env import EnvConfig, task_config
+from mjhab.config.env import EnvConfig
+from mjhab.config.thresholds import task_config
 from mjhab.data.imports.ms_hab_layout import object_id
 from mjhab.episodes.source import EpisodeSource, open_setting
 from mjhab.episodes.starts import Start

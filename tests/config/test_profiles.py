@@ -11,8 +11,9 @@ import pytest
 
 import mjhab
 import mjhab.envs as envs
-from mjhab.config.env import EnvConfig, TrainConfig, task_config
+from mjhab.config.env import EnvConfig, TrainConfig
 from mjhab.config.profiles import MJHAB, MS_HAB, PROFILES
+from mjhab.config.thresholds import task_config
 from mjhab.data.record.provenance import describe_run
 from mjhab.envs.wrappers import FrameStack
 from mjhab.evaluation.recorded import recorded_env

@@ -18,7 +18,8 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.wrappers.vector import RecordEpisodeStatistics
 
 import mjhab.envs as envs
-from mjhab.config.env import AUTORESET_MODES, EnvConfig, task_config
+from mjhab.config.env import AUTORESET_MODES, EnvConfig
+from mjhab.config.thresholds import task_config
 from mjhab.envs.catalog import env_ids
 from mjhab.envs.parts.reporting import active_instruction
 from mjhab.envs.sequential import INDEX_STRIDE, SequentialTaskEnv

@@ -12,7 +12,8 @@ import numpy as np
 import pytest
 
 from mjhab.cli.main import main
-from mjhab.config.env import EnvConfig, task_config
+from mjhab.config.env import EnvConfig
+from mjhab.config.thresholds import task_config
 from mjhab.episodes.rosters import roster
 from mjhab.episodes.spawn_factory import CHUNK, SpawnFactory, make_set, partial_folder
 from mjhab.episodes.spawn_sets import (

@@ -9,7 +9,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from mjhab.config.env import EnvConfig, task_config
+from mjhab.config.env import EnvConfig
+from mjhab.config.thresholds import task_config
 from mjhab.core.rotations import pose_inv, pose_mul, quat_from_yaw
 from mjhab.core.seeding import stream
 from mjhab.episodes.episode import Episode

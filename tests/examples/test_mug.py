@@ -12,7 +12,8 @@ import numpy as np
 import pytest
 
 import mjhab
-from mjhab.config.env import EnvConfig, task_config
+from mjhab.config.env import EnvConfig
+from mjhab.config.thresholds import task_config
 from mjhab.core.registration.plugins import load_plugin
 from mjhab.episodes.grasps.stable import MAX_GRASPS, StableGrasps
 from mjhab.layout.layout import Layout

@@ -19,7 +19,8 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from mjhab.config.env import EnvConfig, task_config
+from mjhab.config.env import EnvConfig
+from mjhab.config.thresholds import task_config
 from mjhab.core.registration.plugins import load_plugins
 from mjhab.envs.parts.reporting import describe_episode
 from mjhab.episodes.episode import Episode

@@ -6,7 +6,8 @@ import dataclasses
 
 from gymnasium.envs.registration import EnvSpec
 
-from mjhab.config.env import EnvConfig, task_config
+from mjhab.config.env import EnvConfig
+from mjhab.config.thresholds import task_config
 from mjhab.robots.registry import robot_named
 from mjhab.tasks.household.registry import TASKS
 from mjhab.tasks.subtasks.registry import limits_of

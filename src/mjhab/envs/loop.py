@@ -21,7 +21,8 @@ from gymnasium.envs.registration import EnvSpec
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
-from mjhab.config.env import NESTED, EnvConfig, task_config
+from mjhab.config.env import NESTED, EnvConfig
+from mjhab.config.thresholds import task_config
 from mjhab.core.arrays import (
     Array,
     as_like,

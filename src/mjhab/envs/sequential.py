@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
-import operator
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -13,10 +12,7 @@ from gymnasium.vector import VectorEnv
 
 from mjhab.config.env import DENSE_MODES, EnvConfig
 from mjhab.core.arrays import Array, may_hold
-from mjhab.core.errors import wrong_value
 from mjhab.core.joints import BASE_XY
-from mjhab.core.typed.checks import check
-from mjhab.core.typed.options import taken
 from mjhab.envs.host_sensing import HostSensing
 from mjhab.envs.loop import TaskLoop
 from mjhab.envs.parts.memory import check_memory
@@ -25,6 +21,7 @@ from mjhab.envs.parts.observing import Observer
 from mjhab.envs.parts.perturbing import Perturber
 from mjhab.envs.parts.plan_tables import PlanTables
 from mjhab.envs.parts.reporting import Reporter
+from mjhab.envs.parts.reset_request import indices_of, seeds_of
 from mjhab.envs.parts.sensing import Sensing
 from mjhab.envs.parts.snapshots import Restorable, restore, snapshot
 from mjhab.envs.parts.teleport import Teleports
@@ -43,8 +40,6 @@ from mjhab.tasks.signals import Signals, WorldState
 
 INDEX_STRIDE = 1 << 20
 """Without explicit indices, the k-th episode of world i has the index i * stride + k."""
-MAX_INDEX = 1 << 62
-"""Indices of episodes are below it."""
 
 
 class SequentialTaskEnv(TaskLoop, VectorEnv):
@@ -110,17 +105,7 @@ class SequentialTaskEnv(TaskLoop, VectorEnv):
     def _reseed(self, seed: Any, mask: np.ndarray) -> None:
         if seed is None:
             return
-        given = _listed(seed)
-        seeds = [
-            None if each is None else taken(EnvConfig, "seed", each)
-            for each in ([seed] * self.num_envs if given is None else given)
-        ]
-        check(
-            len(seeds) == self.num_envs,
-            "seed",
-            seed,
-            f"a number >= 0 or {self.num_envs} of them, one per world",
-        )
+        seeds = seeds_of(seed, self.num_envs)
         for world in np.flatnonzero(mask).tolist():
             own = seeds[world]
             if own is not None:
@@ -132,16 +117,8 @@ class SequentialTaskEnv(TaskLoop, VectorEnv):
 
     def _chosen_episodes(self, wanted: Any, mask: np.ndarray) -> np.ndarray:
         worlds = np.flatnonzero(mask)
-        listed = _listed(wanted) or []
-        given = [index for index in map(_index, listed) if index is not None]
-        if not len(given) == len(listed) == len(worlds):
-            raise wrong_value(
-                "options['episode']",
-                wanted,
-                f"{len(worlds)} indices >= 0, one per reset world",
-            )
         indices = np.zeros(self.num_envs, np.int64)
-        indices[worlds] = given
+        indices[worlds] = indices_of(wanted, len(worlds))
         return indices
 
     def _adopt(self, fresh: np.ndarray, episodes: np.ndarray) -> None:
@@ -374,23 +351,6 @@ class SequentialTaskEnv(TaskLoop, VectorEnv):
         return hashlib.sha256(
             batch.qpos[world].tobytes() + batch.qvel[world].tobytes()
         ).hexdigest()[:16]
-
-
-def _listed(values: Any) -> list[Any] | None:
-    """The items of a list or array; None for a single value and for texts."""
-    try:
-        return None if isinstance(values, str) else list(values)
-    except TypeError:
-        return None
-
-
-def _index(value: Any) -> int | None:
-    """A whole number that an episode can have; None for anything else."""
-    try:
-        index = -1 if isinstance(value, bool) else operator.index(value)
-    except TypeError:
-        return None
-    return index if 0 <= index < MAX_INDEX else None
 
 
 def _with_entry(values: np.ndarray, world: int, value: float) -> np.ndarray:

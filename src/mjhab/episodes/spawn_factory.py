@@ -11,7 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from mjhab.config.env import EnvConfig, task_config
+from mjhab.config.env import EnvConfig
+from mjhab.config.thresholds import task_config
 from mjhab.core.errors import fault, wrong_value
 from mjhab.core.files.cache import write_text
 from mjhab.episodes.episode import Episode

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 import mjhab.envs as envs
-from mjhab.config.env import EnvConfig, task_config
+from mjhab.config.env import EnvConfig
+from mjhab.config.thresholds import task_config
 from mjhab.core.seeding import stream
 from mjhab.episodes.grasps import carry_postures
 from mjhab.episodes.grasps.carry_postures import MAX_ARMS, CarryPostures, rest_postures

@@ -49,7 +49,7 @@ def warp() -> ModuleType:
 
 
 def open_worlds(layout: Layout):
-    from mjhab.sim.warp.engine import BufferSizes
+    from mjhab.sim.warp.buffers import BufferSizes
     from mjhab.sim.warp.simulator import WarpSimulator
 
     return WarpSimulator(

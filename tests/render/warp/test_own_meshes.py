@@ -44,7 +44,7 @@ def layout(tmp_path_factory: pytest.TempPathFactory) -> Layout:
 
 def test_every_cube_has_the_depth_of_the_good_one(layout: Layout) -> None:
     from mjhab.render.warp.cameras import WarpCameras
-    from mjhab.sim.warp.engine import BufferSizes
+    from mjhab.sim.warp.buffers import BufferSizes
     from mjhab.sim.warp.simulator import WarpSimulator
 
     worlds = len(CUBES)

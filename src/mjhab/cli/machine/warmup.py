@@ -123,7 +123,7 @@ class _Work:
 
     def find_holding_arms(self) -> None:
         """Find the arm configurations in which the robot begins with each object of the roster in its hand."""
-        from mjhab.config.env import task_config
+        from mjhab.config.thresholds import task_config
         from mjhab.episodes.starts import StartMaker
 
         task = task_config(self.config, self.layout.robot)

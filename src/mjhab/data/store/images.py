@@ -92,6 +92,16 @@ def decode(data: bytes, output: str) -> np.ndarray:
     return image.astype(np.int16 if output == "depth" else np.int32)[..., None]
 
 
+def camera_output(key: str) -> tuple[str, str]:
+    """Camera and output of the key of an image in observations; texts that are empty for other keys."""
+    parts = key.split("/")
+    return (
+        (parts[1], parts[2])
+        if len(parts) == 3 and parts[0] == "sensor_data"
+        else ("", "")
+    )
+
+
 def check_frame(data: bytes, output: str) -> tuple[int, int]:
     """Check a frame of ``encode`` without decoding it: header, and the checksums of a PNG; returns width and height.
 

@@ -32,8 +32,7 @@ from mjhab.data.store.hdf5 import (
     read_attributes,
     stated_length,
 )
-from mjhab.data.store.images import MAX_FRAME_BYTES, decode
-from mjhab.data.store.older.journal import journal_path
+from mjhab.data.store.images import MAX_FRAME_BYTES, camera_output, decode
 from mjhab.data.store.older.object_axes import headings
 from mjhab.data.store.older.schemas import (
     OLDER_AXES,
@@ -55,13 +54,9 @@ from mjhab.data.store.schema import (
     DamagedError,
     checks_by_name,
 )
+from mjhab.data.store.unreadable import UNREADABLE, refuse_journal, unreadable
 from mjhab.rollout.records import EpisodeRecord
 from mjhab.tasks.label_state import History
-
-BROKEN = (OSError, RuntimeError, ValueError, KeyError)
-"""Exceptions that h5py raises for damaged files."""
-UNREADABLE = (*BROKEN, TypeError, IndexError, OverflowError, MemoryError)
-"""Exceptions of reading an episode whose parts have other types or shapes than the schema says."""
 
 
 class RecordedEpisode:
@@ -321,7 +316,7 @@ class RecordedEpisode:
             parts = self.table("obs/state")
             if key in parts:
                 return parts[key]
-            camera, output = _camera_output(key)
+            camera, output = camera_output(key)
             if camera:
                 return np.stack(
                     [self.frame(camera, output, t) for t in range(self.steps + 1)]
@@ -438,7 +433,7 @@ class Shard:
         try:
             stated_length(path)
             # Before h5py opens it: half-changed metadata can crash it.
-            _refuse_journal(path)
+            refuse_journal(path)
             # Network file systems refuse HDF5's locks, and files are replaced as a whole and never changed.
             self.file = h5py.File(path, "r", locking=False)
             check_format(self.file, path)
@@ -449,7 +444,7 @@ class Shard:
             self._known = frozenset(self.names)
         except UNREADABLE as error:
             self.close()
-            raise _unreadable(path, error) from error
+            raise unreadable(path, error) from error
         except BaseException:
             self.close()
             raise
@@ -545,33 +540,3 @@ def open_shard(path: Path | str) -> Shard:
     if not path.is_file():
         raise fault(path, "does not exist or is no file; give a shard (*.h5).")
     return Shard(path)
-
-
-def _refuse_journal(path: Path) -> None:
-    if journal_path(path).exists():
-        raise DamagedError(
-            f"{path} has a change that a killed writer of mjhab 0.1 did not finish. Finish it with: mjhab data repair "
-            f"{path}"
-        )
-
-
-def _camera_output(key: str) -> tuple[str, str]:
-    parts = key.split("/")
-    return (
-        (parts[1], parts[2])
-        if len(parts) == 3 and parts[0] == "sensor_data"
-        else ("", "")
-    )
-
-
-def _unreadable(path: Path, error: Exception) -> DamagedError:
-    there = path.stat().st_size
-    whole = stated_length(path)
-    if there < whole:
-        return DamagedError(
-            f"{path} cannot be read: it is cut off, {there:,} of its {whole:,} bytes are there. Copy it again from "
-            "where it came from."
-        )
-    return DamagedError(
-        f"{path} cannot be read: {reason(error)}. Copy it again from where it came from."
-    )

@@ -15,6 +15,7 @@ from mjhab.config.env import SPLITS
 from mjhab.config.profiles import DEFAULT_PROFILE, MS_HAB
 from mjhab.core.errors import unknown_name
 from mjhab.data.record.worlds import RecordedEnv
+from mjhab.evaluation.resolve import Wanted
 from mjhab.robots.registry import DEFAULT_ROBOT, ROBOTS
 from mjhab.scenes.pack_source import Assets, pack_request
 from mjhab.scenes.packs import open_pack
@@ -36,12 +37,9 @@ START_DECIMALS = 4
 
 
 @dataclass(frozen=True)
-class ScoreRow:
+class ScoreRow(Wanted):
     """The episodes 0 to ``episodes`` - 1 of one subtask, or of a whole task if ``subtask`` is ""."""
 
-    task: str
-    subtask: str = ""
-    target: str = ""
     episodes: int = SUBTASK_EPISODES
 
     @property

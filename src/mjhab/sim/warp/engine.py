@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import mujoco
 import mujoco_warp as mjw
@@ -17,44 +16,23 @@ from mjhab.core.timing import SUBSTEPS
 from mjhab.layout.addresses import Addresses
 from mjhab.sim.protocol import PENETRATION_LIMIT
 from mjhab.sim.warp import kernels
+from mjhab.sim.warp.buffers import (
+    BUFFER_BITS,
+    CONTACT_OVERFLOW,
+    ENGINE_OVERFLOW,
+    OVERFLOW,
+    ROW_OVERFLOW,
+    BufferSizes,
+)
 from mjhab.sim.warp.device import set_up
 from mjhab.sim.warp.graphs import Graphs
 from mjhab.sim.warp.homes import HOME_FIELDS, HomeTables
+from mjhab.sim.warp.trees import tree_spans
 
 CPU_DEVICE_ITERATIONS = 30
 """Solver iterations on Warp's CPU device, which always runs all of them (on CUDA the solver stops on convergence)."""
-_OVERFLOW = mjw.OverflowType
-CONTACT_OVERFLOW = (
-    _OVERFLOW.BROADPHASE | _OVERFLOW.NARROWPHASE | _OVERFLOW.CCD | _OVERFLOW.HFIELD
-)
-ROW_OVERFLOW = _OVERFLOW.NEFC | _OVERFLOW.NJMAX_NNZ | _OVERFLOW.NVMAX
-ENGINE_OVERFLOW = _OVERFLOW.EPA_HORIZON
-_BUFFER_BITS = {
-    "contacts": _OVERFLOW.BROADPHASE | _OVERFLOW.NARROWPHASE | _OVERFLOW.HFIELD,
-    "ccd": _OVERFLOW.CCD,
-    "rows": _OVERFLOW.NEFC | _OVERFLOW.NJMAX_NNZ,
-    "awake": _OVERFLOW.NVMAX,
-}
-"""Overflow bits of the engine for each field of `BufferSizes`."""
 AWAKE = sleep.K_AWAKE_VAL
 """Value of ``tree_asleep`` of a tree that was just woken."""
-
-
-@dataclass(frozen=True)
-class BufferSizes:
-    """Capacities of the engine's buffers.
-
-    Attributes:
-        contacts: contacts, and also candidate geom pairs of the broad phase, of all worlds together.
-        ccd: geom pairs of one pair of geom types in general convex collision, of all worlds together.
-        rows: constraint rows of one world.
-        awake: dofs of one world that may be awake at the same time; None for all.
-    """
-
-    contacts: int
-    ccd: int
-    rows: int
-    awake: int | None = None
 
 
 class Engine:
@@ -160,17 +138,7 @@ class Engine:
         self._is_robot = wp.array(model.body_rootid == self._tcp_root, dtype=wp.bool)
 
     def _map_trees(self, model: mujoco.MjModel, a: Addresses) -> None:
-        spans_q = np.zeros((model.ntree, 2), np.int32)
-        spans_v = np.zeros((model.ntree, 2), np.int32)
-        for tree in range(model.ntree):
-            first = int(model.tree_dofadr[tree])
-            count = int(model.tree_dofnum[tree])
-            spans_v[tree] = first, count
-            low = model.dof_jntid[first]
-            high = model.dof_jntid[first + count - 1]
-            start = int(model.jnt_qposadr[low])
-            end = int(model.jnt_qposadr[high + 1]) if high + 1 < model.njnt else model.nq
-            spans_q[tree] = start, end - start
+        spans_q, spans_v = tree_spans(model)
         # A teleport zeroes the velocity of the robot (2) always, that of an object (1) if its pose changes.
         stops = np.zeros(model.ntree, np.int32)
         stops[model.body_treeid[a.object_body]] = 1
@@ -278,7 +246,7 @@ class Engine:
                 data.overflow,
                 self.pairs_peak,
                 data.naconmax,
-                int(_OVERFLOW.BROADPHASE),
+                int(OVERFLOW.BROADPHASE),
             ],
             outputs=[self.overflow_seen],
         )
@@ -359,7 +327,7 @@ class Engine:
     def overflown(self) -> list[str]:
         """Return the fields of `BufferSizes` whose buffers have overflowed since the start. Waits for the device."""
         bits = int(wp.to_torch(self.overflow_seen)[0])
-        return [name for name, mask in _BUFFER_BITS.items() if bits & int(mask)]
+        return [name for name, mask in BUFFER_BITS.items() if bits & int(mask)]
 
     def clear_flags(self, worlds: torch.Tensor) -> None:
         """Clear the overflow, taint and broken flags of worlds (n,)."""

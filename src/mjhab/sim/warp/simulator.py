@@ -26,8 +26,9 @@ try:
     import warp as wp
 
     wp.config.log_level = wp.LOG_WARNING
+    from mjhab.sim.warp.buffers import BufferSizes
     from mjhab.sim.warp.device import open_device, room_for
-    from mjhab.sim.warp.engine import BufferSizes, Engine
+    from mjhab.sim.warp.engine import Engine
     from mjhab.sim.warp.rest import RestFinder
     from mjhab.sim.warp.sizes import buffer_sizes, changed_sizes
 except ModuleNotFoundError as error:

@@ -26,7 +26,8 @@ from mjhab.layout.layout import Layout
 from mjhab.layout.receptacles import placed_receptacles
 from mjhab.scenes.spec import Home
 from mjhab.sim.mujoco.settle import settle
-from mjhab.sim.warp.engine import BufferSizes, Engine
+from mjhab.sim.warp.buffers import BufferSizes
+from mjhab.sim.warp.engine import Engine
 
 MARGIN = 1.25
 """Factor on the largest demand measured in the stress rollouts."""

@@ -44,7 +44,8 @@ from mjhab.compat.mshab.files.subtasks import (
     NavigateSubtask,
     PlaceSubtask,
 )
-from mjhab.config.env import EnvConfig, task_config
+from mjhab.config.env import EnvConfig
+from mjhab.config.thresholds import task_config
 from mjhab.core.errors import unknown_name
 from mjhab.core.names import kind_of
 from mjhab.core.rotations import pose_mul, quat_from_yaw

@@ -38,7 +38,8 @@ from mjhab.compat.mshab.files.plan_requests import (
 from mjhab.compat.mshab.files.plans import MsHabTaskPlan, task_of_dataset
 from mjhab.compat.mshab.files.spawn_data import ROBOT_POS, Spawns
 from mjhab.compat.mshab.files.spawned_states import SpawnedStates
-from mjhab.config.env import EnvConfig, task_config
+from mjhab.config.env import EnvConfig
+from mjhab.config.thresholds import task_config
 from mjhab.core.errors import UsageError, about, wrong_value
 from mjhab.core.files.cache import cache_dir, read_cached, write_cached
 from mjhab.core.machine import cores

@@ -207,6 +207,7 @@ class EnvConfig:
     """With backend warp: other sizes of the engine's buffers, see `BufferSizes`."""
 
     def __post_init__(self) -> None:
+        # Easily mixed up with the spawn rule; the check of types below would only say that a text is no number.
         if isinstance(self.starts, str):
             raise wrong_value(
                 "starts",
@@ -214,14 +215,20 @@ class EnvConfig:
                 "the number of starts that the warp backend keeps",
                 f"Where the robot starts is spawn_rule: {', '.join(SPAWN_RULES)}.",
             )
+        # One name alone is taken as well; a tuple of its letters is what the check of types would make of it.
         if isinstance(self.cameras, str):
             object.__setattr__(self, "cameras", (self.cameras,))
+        # Before all that reads values: from here on each has the type of its annotation, and None has become the
+        # default.
         take_options(self)
+        # One form of the same wish, so that records and configurations of equal runs are equal.
         if self.target == "all":
             object.__setattr__(self, "target", "")
+        # Before the assets are resolved: a home that is a file replaces them.
         self._take_home_file()
         object.__setattr__(self, "assets", pack_request(self.assets).as_json())
         robot = robot_named(self.robot)
+        # Before the names are checked: the profile gives those options their values.
         self._take_profile(profile_named(self.profile), robot)
         _known("split", self.split, SPLITS)
         _known("autoreset mode", self.autoreset, AUTORESET_MODES)
@@ -256,6 +263,7 @@ class EnvConfig:
                         "left out with episodes_file, which has objects and places of its own",
                     )
         self._take_perturbations()
+        # Said here and not in the first step: a robot without fingers fails a Pick only when it grasps.
         for name in (self.subtask,) if self.subtask else task.subtasks:
             robot.require(SUBTASKS[name].joint_groups, f"subtask {name!r}")
         self._check_backend()
@@ -266,6 +274,7 @@ class EnvConfig:
         Raises:
             UsageError: there is no such axis or level, or one is asked for by both options.
         """
+        # Texts and mappings that mean the same must give the same record and the same hash of a run.
         axes = {name: parse_axes(getattr(self, name), name) for name in PERTURBING}
         for name in PERTURBING:
             object.__setattr__(self, name, axes_text(axes[name]))
@@ -294,6 +303,7 @@ class EnvConfig:
         """
         if Path(self.home).suffix not in HOME_SUFFIXES:
             return
+        # Two packs for one environment would contradict each other, and neither is the obvious one.
         if self.assets != "builtin":
             raise wrong_value(
                 "assets",
@@ -301,6 +311,7 @@ class EnvConfig:
                 f"left out: home {self.home!r} is a file, which is a pack of its own",
             )
         object.__setattr__(self, "assets", self.home)
+        # All homes of the file: its name is no name of a home.
         object.__setattr__(self, "home", "*")
 
     def _take_profile(self, profile: Profile, robot: Robot) -> None:
@@ -315,16 +326,20 @@ class EnvConfig:
         )
         for name, value in values.items():
             given = getattr(self, name)
+            # The horizon has an own mark for "not given", because None stands for the default of an option.
             missing = given is OF_PROFILE or (name == "horizon" and given == 0)
             if missing:
                 object.__setattr__(self, name, value)
             elif (
                 profile.binding
                 and name not in FREE_OPTIONS
+                # Configurations that were read from JSON hold lists in place of tuples.
                 and (tuple(given) if isinstance(given, list) else given) != value
             ):
                 raise _contradiction(profile, name, value, given)
         if profile.binding:
+            # Overrides reach the same limits as options do; without this a result could bear the paper's name with
+            # other rules.
             for name, value in self.overrides.items():
                 limit = name.partition(".")[2]
                 if limit in LIMITS and limit not in FREE_OPTIONS:

@@ -81,6 +81,7 @@ class EnvSpec:
         known = {name: value for name, value in options.items() if name in own}
         if further or "env" in known:
             known["env"] = {**_mapping(known.get("env")), **further}
+        # Only `out` may be a text in Python, as callers write it; the command line makes paths of all others.
         if isinstance(known.get("out"), str):
             known["out"] = Path(known["out"])
         return cls(*args, **known)
@@ -102,12 +103,14 @@ class EnvSpec:
             if name not in names:
                 what = f"option of {self.WHAT}" if self.WHAT else "option"
                 raise unknown_name(what, name, sorted({*names, *own}))
+            # None means not given: it must not count as the user's own choice over what a policy asks for.
             if value is not None:
                 env[names[name]] = value
                 if name != names[name]:
                     # Named as the caller did, before `EnvConfig` names it as its own.
                     taken(EnvConfig, names[name], value, name)
         object.__setattr__(self, "env", env)
+        # In its one plain form, so that specifications of the same pack are equal.
         if "assets" in env:
             env["assets"] = self.asked.assets
 

@@ -25,6 +25,7 @@ LEVELS = 5
 """Levels of every axis, 1 to 5; 0 is the episode without the perturbation."""
 MAX_DRAWS = 20
 """So often a change of a start that is impossible is drawn anew; then the start stays as it is."""
+# A sign is read, too, so that the message about the level names what was given.
 _ENTRY = re.compile(r"\s*([^:,\s]+)\s*:\s*(-?\d+)\s*")
 ALL = "all"
 """In place of the names of all axes."""
@@ -65,6 +66,7 @@ class Drawn(EpisodeId):
 
     def stream(self, *keys: int | str) -> np.random.Generator:
         """A stream of random numbers of this axis and level in this episode; other keys, other numbers."""
+        # The level is a key, so that the levels of one episode are drawn independently of each other.
         return stream(self.seed, "perturbation", self.axis, self.level, self.index, *keys)
 
 
@@ -295,6 +297,7 @@ def register_perturbation(perturbation: Perturbation) -> Perturbation:
             raise wrong_value(
                 f"levels of {name}", quantity.levels, f"{LEVELS} numbers", where=where
             )
+    # It would be recorded with every episode and change none of them.
     if not perturbation.hooks:
         raise fault(where, f"changes nothing: override one of {', '.join(HOOKS)}.")
     return PERTURBATIONS.add(perturbation.name, perturbation)
@@ -310,9 +313,11 @@ def parse_axes(asked: str | Mapping[str, Any], option: str = "perturb") -> dict[
     """
     found: dict[str, int] = {}
     entries = _entries(asked, option)
+    # Alone only: beside other axes it would be unclear which level those have.
     if [axis for axis, _ in entries] == [ALL]:
         entries = [(axis, entries[0][1]) for axis in PERTURBATIONS]
     for axis, level in entries:
+        # First the name alone is looked at: for a misspelt axis the list of axes helps more than the form.
         with about(option, UsageError):
             PERTURBATIONS.check(axis)
         if (
@@ -324,6 +329,7 @@ def parse_axes(asked: str | Mapping[str, Any], option: str = "perturb") -> dict[
         if axis in found:
             raise UsageError(f"{option} names {axis!r} twice.", option=option, given=axis)
         found[axis] = level
+    # In one order, whatever the order of the words: it is part of records and of hashes.
     return {axis: found[axis] for axis in PERTURBATIONS if axis in found}
 
 
@@ -387,6 +393,7 @@ class PerturbationPlan:
                 amounts = axis.amounts(level)
                 bare = Drawn(seed, index, axis.name, level, amounts)
                 values = called(axis.name, "draw", bare, robot)
+                # A copy: a plugin may keep the mapping that it returned, and change it.
                 found.append(Drawn(seed, index, axis.name, level, amounts, dict(values)))
         return tuple(found)
 
@@ -397,8 +404,10 @@ class PerturbationPlan:
             if "furniture" not in axis.hooks:
                 continue
             highest = self.fixed.get(axis.name, self.random.get(axis.name, 0))
+            # Level 0 moves nothing and needs no pack of its own.
             lowest = highest if axis.name in self.fixed else 1
             for level in range(lowest, highest + 1):
+                # Any seed and index do: the hook depends on the level alone.
                 bare = Drawn(0, 0, axis.name, level, axis.amounts(level))
                 found.add(float(called(axis.name, "furniture", bare)))
         return tuple(sorted(found))
@@ -406,6 +415,7 @@ class PerturbationPlan:
     def _level(self, axis: str, seed: int, index: int) -> int:
         if axis in self.fixed:
             return self.fixed[axis]
+        # Apart from the streams of the axes, so that a drawn level gives what the same fixed level gives.
         random = stream(seed, "perturbation level", axis, index)
         return int(random.integers(self.random[axis] + 1))
 
@@ -434,6 +444,7 @@ def called(axis: str, hook: str, *args: Any) -> Any:
     """
     try:
         return getattr(PERTURBATIONS[axis], hook)(*args)
+    # Errors that already say what to do keep their words.
     except MjhabError:
         raise
     # A plugin is code of others, which raises whatever it likes.

@@ -80,6 +80,7 @@ class Profile:
             for field in fields(self)
             if field.name not in apart
         }
+        # None is no list of cameras: `EnvConfig` then takes those of the robot.
         if values["cameras"] is None:
             del values["cameras"]
         # One number for all kinds would be Navigate's, too, which has more time.

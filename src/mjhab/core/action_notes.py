@@ -50,6 +50,7 @@ class ActionNotes:
     doing: Sequence[Doing] = ()
 
     def __post_init__(self) -> None:
+        # The type of the recorded column; a wider one would change the files.
         if self.actor.shape != self.intended.shape[:1] or self.actor.dtype != np.uint8:
             raise ValueError(
                 f"actor must be ({len(self.intended)},) uint8, one number per world; "

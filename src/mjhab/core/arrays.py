@@ -13,6 +13,7 @@ import numpy as np
 
 Array = Any
 """A numpy array or a torch tensor: whatever ``array_api_compat`` knows."""
+# Scalars, too: reductions of numpy return them.
 _NUMPY_TYPES = (np.ndarray, np.generic)
 
 Record = TypeVar("Record")
@@ -40,6 +41,7 @@ def to_numpy(array: Array) -> np.ndarray:
     """Return the array on the host as numpy (a view where the library allows one)."""
     if isinstance(array, np.ndarray):
         return array
+    # By its method: torch is not imported where nobody uses it.
     if hasattr(array, "detach"):
         array = array.detach().cpu()
     return np.asarray(array)
@@ -47,6 +49,7 @@ def to_numpy(array: Array) -> np.ndarray:
 
 def object_array(items: Sequence[Any]) -> np.ndarray:
     """(n,) array of n objects, whatever they are: lists of one length stay lists."""
+    # ``np.array`` would make a table of lists of one length.
     return np.fromiter(items, object, len(items))
 
 
@@ -57,6 +60,7 @@ def as_like(values: Array, like: Array, dtype: Any = None) -> Array:
     return xp.asarray(values, dtype=like.dtype if dtype is None else dtype, device=device)
 
 
+# By identity, because comparing nested tuples for the lookup would cost more than making the array.
 @dataclasses.dataclass(frozen=True, eq=False)
 class Table:
     """Nested tuples of numbers that are known by identity: looking up the array made of them compares nothing."""
@@ -196,6 +200,7 @@ def where_rows(mask: Array, new: Record, old: Record) -> Record:
 
 def row_of(record: Record, row: int) -> Record:
     """Return one row of a record of arrays (W, ...), copied to numpy."""
+    # A view of the row would keep the arrays of all worlds alive.
     return map_record(lambda array: to_numpy(array[row]).copy(), record)
 
 
@@ -205,6 +210,7 @@ def with_row(record: Record, row: int, values: dict[str, Any]) -> Record:
     for field in dataclasses.fields(record):  # type: ignore[arg-type]
         array = getattr(record, field.name)
         if array is not None:
+            # Arrays that were returned before are not modified.
             array = namespace(array).asarray(array, copy=True)
             array[row] = as_like(values[field.name], array)
         chosen[field.name] = array
@@ -227,4 +233,5 @@ def norm3(vector: Array) -> Array:
 def dot3(a: Array, b: Array) -> Array:
     """Dot product over a last axis of 3."""
     product = a * b
+    # Written out: reductions of numpy and torch sum in different orders.
     return product[..., 0] + product[..., 1] + product[..., 2]

@@ -26,6 +26,7 @@ class Boxes:
     def of(center: ArrayLike, half: ArrayLike, rot: ArrayLike | None = None) -> Boxes:
         """Boxes from anything array-like; ``rot`` None: along the axes of the world."""
         center = np.asarray(center, dtype=np.float64).reshape(-1, 3)
+        # numpy cannot broadcast the half-extents of one box to none.
         if not len(center):
             return Boxes.join(())
         half = np.broadcast_to(np.asarray(half, dtype=np.float64), center.shape)
@@ -74,11 +75,13 @@ def sphere_box_distance(points: np.ndarray, boxes: Boxes) -> np.ndarray:
     local = np.abs((points @ turn).reshape(len(points), count, 3) - shift) - boxes.half
     outside = np.maximum(local, 0.0)
     inside = np.minimum(np.max(local, axis=2), 0.0)
+    # One of the two is 0 for every point, so that their sum is the signed distance.
     return np.sqrt(np.einsum("pkc,pkc->pk", outside, outside)) + inside
 
 
 def nearest_box_distance(points: np.ndarray, boxes: Boxes) -> np.ndarray:
     """Signed distance (P,) of each of ``points`` (P, 3) to the box nearest to it; infinite without boxes."""
+    # Here, because boxes are also used where nothing else needs numba.
     from mjhab.core.kernels.box_gaps import least_box_gaps  # loads numba
 
     return least_box_gaps(read_only(points), *boxes.contiguous())

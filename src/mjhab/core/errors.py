@@ -9,6 +9,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 
 _REPR = reprlib.Repr()
+# A message is one line; a value of pages would bury what is wrong with it.
 _REPR.maxstring = _REPR.maxother = 120
 _REPR.maxlong = 40
 _log = logging.getLogger("mjhab")
@@ -145,12 +146,14 @@ def unknown_name(
         where: the file or object that has the name; "" for none.
         advice: what to do, a sentence; "" if the list of names is all there is to say.
     """
+    # The empty name stands for a default, and is nothing to type.
     names = tuple(sorted(filter(None, valid)))
     if not isinstance(given, str):
         said = f"{kind} must be a name, got {shown(given)} ({type(given).__name__})."
     elif elsewhere and given in elsewhere:
         said = f"unknown {kind} {shown(given)}. {elsewhere[given]}"
     else:
+        # Below the library's own 0.6, so that short names with two slips are still found.
         near = difflib.get_close_matches(given, names, n=1, cutoff=0.4)
         hint = f"Did you mean {near[0]!r}?" if near else ""
         said = _joined(f"unknown {kind} {shown(given)}.", hint)
@@ -186,6 +189,7 @@ def about(
         yield
     except kinds as error:
         message = _joined(f"{where}: {str(error).removesuffix('.')}.", advice)
+        # An error of a library has no fields to keep.
         if not isinstance(error, UsageError):
             raise UsageError(message, where=str(where), advice=advice) from error
         raise UsageError(
@@ -200,6 +204,7 @@ def about(
 
 def warn_once(text: str) -> None:
     """Log a warning to the logger ``mjhab``, unless this process has logged the same text before."""
+    # By the text: the same warning with another name in it is another one.
     if text not in _warned:
         _warned.add(text)
         _log.warning(text)

@@ -36,6 +36,7 @@ def grid_graph(
         a = _window(free, (dx, dy), (0, 0))
         b = _window(free, (dx, dy), (dx, dy))
         both = free[a] & free[b]
+        # A knight's move passes two cells between its ends; without this test ways would cut corners.
         if max(abs(dx), abs(dy)) == 2:
             step = (int(np.sign(dx)), int(np.sign(dy)))
             straight = (step[0], 0) if abs(dx) == 2 else (0, step[1])
@@ -46,6 +47,7 @@ def grid_graph(
             )
         length = np.full(int(both.sum()), np.hypot(dx, dy) * cell)
         if price is not None:
+            # The mean of both ends makes the price of a way the same in both directions.
             length = np.hypot(dx, dy) * cell * 0.5 * (price[a] + price[b])[both]
         starts.append(number[a][both])
         ends.append(number[b][both])

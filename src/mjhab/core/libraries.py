@@ -67,6 +67,7 @@ def check_imports(names: Sequence[str], extra: str) -> None:
 
 def _is_installed(name: str) -> bool:
     try:
+        # Found, not imported: torch takes seconds to load.
         return importlib.util.find_spec(name) is not None
     except ValueError:  # an imported module whose __spec__ is None
         return True

@@ -25,6 +25,7 @@ _CGROUP = (
 def cores() -> int:
     """Number of CPU cores that this process may use."""
     if hasattr(os, "sched_getaffinity"):
+        # In a container fewer cores may be allowed than there are.
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
 
@@ -46,6 +47,7 @@ def pip_install(*words: str) -> str:
     python = sys.executable or "python"
     tool = [python, "-m", "pip", "install"]
     if importlib.util.find_spec("pip") is None:
+        # Environments that uv makes have no pip.
         tool = ["uv", "pip", "install", "--python", python]
     return shlex.join([*tool, *words])
 
@@ -59,6 +61,7 @@ def install_extra(extra: str) -> str:
     folder = checkout()
     if folder is None:
         return pip_install(f"mjhab[{extra}]")
+    # Editable, as it runs now: a copy would hide later changes of the checkout.
     return pip_install("-e", f"{folder}[{extra}]")
 
 
@@ -78,7 +81,12 @@ def gpu_name() -> str | None:
     command = [tool, "--query-gpu=name", "--format=csv,noheader"]
     try:
         answer = subprocess.run(
-            command, capture_output=True, text=True, timeout=20, check=True
+            # A driver that hangs must not hang the command.
+            command,
+            capture_output=True,
+            text=True,
+            timeout=20,
+            check=True,
         )
     except (subprocess.SubprocessError, OSError):
         return None
@@ -106,8 +114,10 @@ def available_mb() -> float | None:
     for limit, used in _CGROUP:
         top = _read(limit).strip()
         now = _read(used).strip()
+        # "max" stands for no limit.
         if top.isdigit() and now.isdigit():
             found.append((int(top) - int(now)) / 2**20)
+    # A container may be given more than the machine has free.
     return min(found, default=None)
 
 

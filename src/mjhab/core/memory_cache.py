@@ -78,9 +78,11 @@ class MemoryCache:
             if found is not None:
                 self._entries[key] = found._replace(turn=next(_TURNS))
                 return found.value
+        # Without the lock: making takes seconds, in which other threads go on.
         value = make()
         size = self._size(value) + ENTRY_BYTES
         with _LOCK:
+            # Another thread may have been faster; its value is the one that others hold.
             if key not in self._entries:
                 self._entries[key] = _Entry(value, size, next(_TURNS))
                 self._bytes += size
@@ -137,6 +139,7 @@ def set_memory_limit(mb: float) -> None:
         UsageError: not a number >= 0.
     """
     _LIMIT.set(_checked(mb, "the limit of the cache in memory (--cache-mb)"))
+    # Worker processes read it when they start.
     os.environ[LIMIT_VARIABLE] = str(mb)
     with _LOCK:
         _shrink()
@@ -187,6 +190,7 @@ def _shrink() -> None:
     caches = list(_CACHES)
     total = sum(cache.bytes for cache in caches)
     while total > limit:
+        # Over all kinds together: a limit for each would waste what one kind does not use.
         oldest = min(caches, key=lambda cache: cache.oldest)
         before = oldest.bytes
         oldest.drop_oldest()

@@ -30,6 +30,7 @@ def shortened(text: str, length: Callable[[str], float], most: float) -> str:
     if length(text) <= most:
         return text
     while text and length(text + "...") > most:
+        # Letter by letter, since the width of a text in pixels does not follow from its number of letters.
         text = text[:-1]
     return text.rstrip() + "..."
 
@@ -105,6 +106,7 @@ def below(root: Path, *parts: str | Path) -> Path:
     path = root.joinpath(*parts)
     top = Path(os.path.normpath(root))
     inside = Path(os.path.normpath(path))
+    # After the dots are resolved, which a look at the text could miss.
     if inside == top or not inside.is_relative_to(top):
         given = "/".join(map(str, parts))
         raise UsageError(

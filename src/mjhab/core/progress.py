@@ -33,7 +33,11 @@ def progress_bar(what: str, total: int) -> Iterator[Callable[[], None]]:
     )
     console = Console(stderr=True)
     with Progress(
-        *columns, console=console, transient=True, disable=not console.is_terminal
+        # A log file would get a line for every change.
+        *columns,
+        console=console,
+        transient=True,
+        disable=not console.is_terminal,
     ) as progress:
         bar = progress.add_task(what, total=total)
         yield lambda: progress.advance(bar)

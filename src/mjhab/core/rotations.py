@@ -128,6 +128,7 @@ def quat_from_mat(m: Array) -> Array:
         better = pivot > best
         best = xp.where(better, pivot, best)
         quat = xp.where(better[..., None], xp.stack(form, axis=-1), quat)
+    # A matrix in single precision is not quite a rotation.
     quat = quat / xp.sqrt(xp.sum(quat * quat, axis=-1, keepdims=True))
     return quat_canonical(quat)
 
@@ -199,7 +200,10 @@ def rotation_vector(rot: Array) -> Array:
     sin_half = norm3(quat[..., 1:])
     angle = 2 * xp.atan2(sin_half, quat[..., 0])
     scale = xp.where(
-        sin_half > 1e-9, angle / xp.maximum(sin_half, constant((1e-12,), sin_half)), 2.0
+        # Both branches are computed: the smaller bound keeps the unused one from dividing by zero.
+        sin_half > 1e-9,
+        angle / xp.maximum(sin_half, constant((1e-12,), sin_half)),
+        2.0,
     )
     return quat[..., 1:] * scale[..., None]
 
@@ -213,6 +217,7 @@ def euler_xyz(rot: Array) -> Array:
     """
     xp = namespace(rot)
     level = xp.sqrt(rot[..., 0, 0] ** 2 + rot[..., 1, 0] ** 2)
+    # Below, both of the others are noise of rounding.
     free = level > _LOCKED
     first = xp.where(
         free,
@@ -233,7 +238,9 @@ def mat_from_rotation_vector(vector: Array) -> Array:
     z = vector[:, 2]
     zero = xp.zeros_like(x)
     skew = xp.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=-1).reshape(-1, 3, 3)
+    # Both branches are computed: without this bound the one that is not taken would divide by zero.
     safe = xp.maximum(angle, constant((1e-9,), angle))
+    # Below, the limits are off by less than 1e-12, while 1 - cos would cancel.
     first = xp.where(angle > 1e-6, xp.sin(angle) / safe, 1.0)
     second = xp.where(angle > 1e-6, (1 - xp.cos(angle)) / safe**2, 0.5)
     return constant(IDENTITY_MATRIX, vector) + first * skew + second * (skew @ skew)

@@ -28,5 +28,7 @@ def stream(seed: int, *keys: int | str) -> np.random.Generator:
     """
     words = [int(seed)]
     for key in keys:
+        # Python's own hash of texts differs in every process.
         words.append(zlib.crc32(key.encode()) if isinstance(key, str) else int(key))
+    # PCG64 by its name: numpy may change what ``default_rng`` is.
     return np.random.Generator(np.random.PCG64(np.random.SeedSequence(words)))

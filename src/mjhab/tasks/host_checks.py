@@ -29,8 +29,10 @@ class HostBodyCheck:
         self._body = config.joints.body
         x, y, z = config.ee_rest_pos
         height = config.base_height + z
+        # The cosine once: the kernel compares it with a product in place of an angle per step.
         grip = (math.cos(config.grasp_angle), config.grasp_force)
         self._hand = np.array([*grip, x, y, height, config.ee_rest_tol])
+        # Of one type, because the kernels have a single compiled signature.
         self._rest = np.array(config.rest_qpos[self._posture], float)
         endless = config.endless[self._posture] or (False,) * len(self._rest)
         self._per_turn = np.array(turns(endless))
@@ -52,6 +54,7 @@ class HostBodyCheck:
             active.navigate,
             state.tcp_pos,
             state.base_pose,
+            # By numpy and not inside: compiled sine and cosine have other last bits.
             np.concatenate((np.cos(yaw), np.sin(yaw))),
             self._hand,
             found[:3],

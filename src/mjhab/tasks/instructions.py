@@ -190,6 +190,7 @@ def subtask_instruction(request: InstructionRequest, draw: Draw = first_wording)
     thing = _thing(request, draw, plain=request.holds)
     wording = wordings[draw(len(wordings))]
     destination = f"{thing} {request.source.phrase()}"
+    # Always some words: a wording with an empty place would be no sentence.
     goal = request.goal.phrase("at its goal")
     if request.carries:
         destination = request.goal.words or "its goal"
@@ -206,6 +207,7 @@ def subtask_instruction(request: InstructionRequest, draw: Draw = first_wording)
         source=f"from {request.source.words}" if request.source.words else "",
         goal=goal,
     )
+    # Empty parts leave double spaces.
     return " ".join(sentence.split())
 
 
@@ -226,6 +228,7 @@ def subtask_wordings(request: InstructionRequest) -> tuple[str, ...]:
             counts.append(count)
             return begun[len(counts) - 1] if len(counts) <= len(begun) else 0
 
+        # A dict as an ordered set: some wordings are equal for targets without a place.
         found[subtask_instruction(request, draw)] = None
         # What this run drew beyond ``begun`` was 0 each time: every other number begins a run of its own.
         for k in range(len(begun), len(counts)):
@@ -256,6 +259,7 @@ def task_instruction(
 def _move(request: InstructionRequest, draw: Draw) -> str:
     """One object of a task: where it is and where it belongs."""
     thing = _thing(request, draw)
+    # "put the bowl from the table on the table" would say nothing.
     if request.stays:
         return f"move {thing} {request.source.phrase()} to another place there"
     source = f"from {request.source.words}" if request.source.words else ""
@@ -305,6 +309,7 @@ def names_of(kind: str) -> tuple[str, ...]:
 def with_article(name: str, before: str = "") -> str:
     """A name with "the", unless it has an article or an owner: "my mug", "Ada's mug"; ``before``: an adjective."""
     first, _, rest = name.partition(" ")
+    # Only with something behind it: a thing may be called "that" alone.
     if rest and (first.lower() in _DETERMINERS or first.endswith(("'s", "’s"))):
         return " ".join(f"{first} {before} {rest}".split())
     return " ".join(f"the {before} {name}".split())
@@ -322,9 +327,12 @@ def plain_words(name: str, code: str = "thing") -> str:
 
     ``code``: what to say for an id without words, such as a hash.
     """
+    # YCB ids begin with a number, such as 024 and 065-a.
     words = re.sub(r"^\d+(-[a-z])?_", "", name)
+    # ReplicaCAD writes some names in camel case.
     words = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", words)
     words = re.sub(r"[_\W]+", " ", words)
+    # Before the numbers at the end are cut, so that those without a separator go, too.
     words = re.sub(r"(?<=[A-Za-z])(?=\d)", " ", words).lower()
     words = re.sub(r"( \d+)+$", "", words.strip())
     digits = sum(letter.isdigit() for letter in words)

@@ -119,6 +119,7 @@ def watch(signals: Watched) -> Array:
             s.touch,
             s.ee_contact,
             s.success,
+            # Turned round, so that every row is False while nothing has happened.
             ~s.force_ok,
         )
     )
@@ -179,6 +180,7 @@ def uneventful(num_worlds: int) -> LabelState:
 def start(signals: Watched) -> LabelState:
     """Begin with the state at the start of the subtask (t = 0)."""
     now = watch(signals)
+    # False rows made of what is there, which works for any library and device.
     no = now[: len(_FALLS)] & ~now[: len(_FALLS)]
     at_goal = now[_NOW["at_goal"]]
     return LabelState(
@@ -215,9 +217,11 @@ def add(state: LabelState, now: Array) -> LabelState:
     release_at_goal = xp.where(falls[0], now[_NOW["at_goal"]], state.release_at_goal)
     return LabelState(
         now,
+        # Falls are kept apart, since a row that is True again hides that it was False in between.
         state.seen | xp.concat((now, falls)),
         state.must_hold,
         release_at_goal,
+        # Frozen from the first success on: a later release must not change how it was reached.
         xp.where(state.ever("success"), state.first_success_release, release_at_goal),
     )
 

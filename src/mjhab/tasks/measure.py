@@ -46,9 +46,11 @@ from mjhab.tasks.thresholds import TaskConfig
 def active_entries(plan: PlanArrays, pointer: Array, config: TaskConfig) -> Active:
     """Look up the entries of the subtasks at ``pointer`` (W,) int64."""
     xp = namespace(pointer)
+    # A finished plan points behind its end, where there is no row to read.
     index = xp.minimum(pointer, plan.length - 1)
     kind = xp.where(pointer < plan.length, pick_column(plan.kind, index), PADDING)
     navigate, rests_holding = properties(kind, "navigates", "rests_holding")
+    # The row that a finished plan reads may be of another kind.
     must_hold = pick_column(plan.must_hold, index) & navigate
     goal_pos = pick_column(plan.goal_pos, index)
     loose = rests_holding | must_hold
@@ -71,6 +73,7 @@ def active_entries(plan: PlanArrays, pointer: Array, config: TaskConfig) -> Acti
         unfinished=unfinished,
         applies=applies,
         optional=optional,
+        # Also where only a finished Place has one, which must not be undone.
         has_goals=_any_applies(applies, ("at_goal",)) or may_hold(~unfinished),
         has_joints=_any_applies(applies, JOINT_CHECKS),
         has_ways=_any_applies(applies, WAY_CHECKS),
@@ -93,6 +96,7 @@ def _grip(
     """
     force = namespace(nav).where(nav[:, None, None], state.held_force, state.finger_force)
     norm = norm3(force)
+    # Multiplied and not divided: a finger without contact has the norm 0.
     straight = dot3(force, state.finger_dir) >= math.cos(config.grasp_angle) * norm
     firm = (norm >= config.grasp_force) & straight
     target_force = norm[:, 0] + norm[:, 1]
@@ -130,6 +134,7 @@ def at_goal(
             'goal_type "zone" needs the goal_rect of every Place in the plan; use "sphere" without them.'
         )
     inside = level
+    # Two neighbours of one corner span a rectangle; the fourth corner adds nothing.
     for neighbour in (1, 3):
         edge = rect[..., neighbour, :] - rect[..., 0, :]
         along = (obj_pos[..., 0] - rect[..., 0, 0]) * edge[..., 0] + (
@@ -145,6 +150,7 @@ def at_goal(
 
 def _nowhere(active: Active) -> Array:
     """(W,) bool, False in all worlds."""
+    # Of the right library and device without asking for either.
     return active.kind != active.kind
 
 
@@ -158,6 +164,7 @@ def _goals(
     if not active.has_goals:
         no = _nowhere(active)
         return no, ~no
+    # For all subtasks of the plan, since those that are done are watched as well.
     there = at_goal(state.plan_obj_pos, plan.goal_pos, plan.goal_rect, config)  # (W, S)
     placed_ok = namespace(there).all(there | active.unfinished, axis=-1)
     return pick_column(there, active.index), placed_ok
@@ -194,6 +201,7 @@ def _stillness(
     near_rest = xp.abs(off_rest(state.robot_q, config)) <= tolerance
     limits = constant(speed_limits(config), state.robot_qd)
     speed = state.robot_qd[:, config.joints.body]
+    # The published code compares the speed with its sign (is_static of ManiSkill's fetch.py).
     if config.stillness == "absolute":
         speed = xp.abs(speed)
     slow = speed <= limits
@@ -220,6 +228,7 @@ def _arrival(
     bearing = xp.atan2(cos * dy - sin * dx, cos * dx + sin * dy)
     # NaN stands for "no box": comparisons with NaN are False, so that no position is outside.
     outside = (position < active.box[:, ::2]) | (position > active.box[:, 1::2])
+    # "Not outside" in place of "inside", which a missing box would fail.
     near = (xp.sqrt(dx * dx + dy * dy) <= config.nav_distance) & ~(
         outside[:, 0] | outside[:, 1]
     )
@@ -317,6 +326,7 @@ def measure(
         "oriented": oriented,
         **holding_checks(is_grasped, active.must_hold),
     }
+    # In the order of the table, whatever the order above.
     rows = [found[name] for name in CHECKS]
     checks = pile(_own_measures(rows, state, active, config)) & active.applies
     return Signals(
@@ -352,8 +362,10 @@ def _own_measures(
     out = list(rows)
     for number, row, function in _measures(SUBTASKS.version):
         mine = active.kind == number
+        # A plugin's function is not called while no world has its subtask.
         if may_hold(mine):
             own = function(state, active, config)
+            # Checked in every step: a shape that broadcasts would spread one world's result to all.
             if getattr(own, "shape", None) != mine.shape or own.dtype != mine.dtype:
                 raise fault(
                     SUBTASKS.described(SUBTASKS.names()[number]),

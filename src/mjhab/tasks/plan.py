@@ -143,12 +143,15 @@ def stack_plans(
         min_subtasks: least number of columns, so that array shapes do not depend on the plans.
         doors: links with a hinge; other links slide. The two have different open fractions.
     """
+    # At least as long as asked, so that shapes stay the same over resets.
     count = max(min_subtasks, *(len(plan.subtasks) for plan in plans))
     shape = (len(plans), count)
+    # int64, because these numbers index tables on every backend.
     kind = np.full(shape, PADDING, dtype=np.int64)
     goal_pos = np.zeros((*shape, 3))
     must_hold = np.zeros(shape, dtype=bool)
     open_frac = np.full(shape, config.open_fraction_drawer)
+    # NaN compares False with everything, which stands for no box without a second array.
     box = np.full((*shape, 4), np.nan)
     rect = np.full((*shape, 4, 2), np.nan)
     for w, plan in enumerate(plans):
@@ -157,6 +160,7 @@ def stack_plans(
             goal_pos[w, s] = subtask.goal_pos
             must_hold[w, s] = subtask.must_hold
             open_frac[w, s] = config.open_fraction(hinged=subtask.link in doors)
+            # The box says where to stand for a link; who carries something drives to the goal of the object.
             if (
                 boxes is not None
                 and spec_of(subtask.kind).navigates
@@ -166,5 +170,6 @@ def stack_plans(
             if subtask.goal_rect:
                 rect[w, s] = subtask.goal_rect
     length = np.array([len(plan.subtasks) for plan in plans], dtype=np.int64)
+    # None spares the arrays where no goal is a zone.
     zones = rect if config.goal_type == "zone" else None
     return PlanArrays(kind, length, goal_pos, must_hold, open_frac, box, zones)

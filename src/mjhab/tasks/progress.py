@@ -77,6 +77,7 @@ class StepOutcome:
 
 def _horizon(plan: PlanArrays, pointer: Array, config: TaskConfig) -> Array:
     """(W,) horizon of the subtask at ``pointer``; past the end, that of the last subtask."""
+    # Past the end a horizon is still read, though nothing depends on it.
     kind = pick_column(plan.kind, namespace(pointer).minimum(pointer, plan.length - 1))
     return constant(horizons(config), pointer)[kind]
 
@@ -96,6 +97,7 @@ def start(plan: PlanArrays, config: TaskConfig, like: Array | None = None) -> Pr
         if like is None
         else zeros((zero.shape[0],), like)
     )
+    # False of the right library and device.
     no = plan.length < 0
     left = _horizon(plan, zero, config)
     return Progress(zero, left, zero, zero, force, force, force, no, no)
@@ -112,6 +114,7 @@ def accumulate(progress: Progress, robot_force: Array, fingers_force: Array) -> 
     """Count one control step: its forces (W,) [N] and its time. Worlds that are done do not change."""
     xp = namespace(robot_force)
     step = cast(~progress.done, progress.pointer.dtype)
+    # Chosen and not multiplied: a broken world may give NaN, which times 0 stays NaN.
     force = xp.where(progress.done, 0.0, robot_force)
     fingers = xp.where(progress.done, 0.0, fingers_force)
     return Progress(
@@ -145,9 +148,11 @@ def advance(
     if config.continuous:
         return _advance_continuous(progress, signals, config.hold_steps)
     alive = ~progress.done
+    # A success in the step in which the force goes over its limit is a failure.
     advanced = alive & signals.success & signals.placed_ok & signals.force_ok
     force_exceeded = alive & ~signals.force_ok
     place_broken = alive & ~signals.placed_ok
+    # Success in the last step still counts.
     timeout = alive & ~advanced & (progress.steps_left <= 0)
     pointer = progress.pointer + advanced
     success = advanced & (pointer >= plan.length)
@@ -193,6 +198,7 @@ def _begin_next(
         xp.where(moved, 0.0, progress.cumulative_force),
         xp.where(moved, 0.0, progress.peak_force),
         xp.where(moved, 0.0, progress.peak_finger_force),
+        # It is about the active subtask, and another one begins.
         progress.success_once & ~moved,
         progress.done,
     )
@@ -208,6 +214,7 @@ def _advance_continuous(
     timeout = alive & (progress.steps_left <= 0)
     force_exceeded = alive & ~signals.force_ok
     no = alive & ~alive
+    # Running out of time after a success is no failure: continuous evaluation goes on until then.
     fail = force_exceeded | (timeout & ~once)
     outcome = StepOutcome(
         no, now, fail, timeout & ~now, force_exceeded, no, timeout, timeout, once, now
@@ -215,9 +222,11 @@ def _advance_continuous(
     steps_left = progress.steps_left
     if hold_steps >= 0:
         xp = namespace(steps_left)
+        # At the first success alone: a later one must not prolong the episode.
         decided = (now & ~progress.success_once) | force_exceeded
         steps_left = xp.where(
             decided,
+            # Never longer than the horizon.
             xp.minimum(steps_left, xp.full_like(steps_left, hold_steps)),
             steps_left,
         )

@@ -26,6 +26,7 @@ def progressive(
     """
     counts = np.asarray(completed_counts, dtype=np.int64)
     if counts.size == 0:
+        # No episode is not the same as none that completed.
         return np.full(n_subtasks, np.nan)
     check(
         counts.min() >= 0 and counts.max() <= n_subtasks,
@@ -50,4 +51,5 @@ def upper_bound(success_rates: Sequence[float] | np.ndarray) -> np.ndarray:
     """
     rates = np.asarray(success_rates, dtype=np.float64)
     products = np.cumprod(rates)
+    # A rate of 0 makes all later products 0, also where a rate is not known.
     return np.where(np.cumprod(np.nan_to_num(rates, nan=1.0)) == 0.0, 0.0, products)

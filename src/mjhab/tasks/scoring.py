@@ -80,6 +80,7 @@ def _check_scales(scales: Any) -> None:
     for kind, changes in scales.items():
         if not isinstance(changes, Mapping):
             having = [name for name in SUBTASKS if kind in term_names(name)]
+            # A term without its subtask is the usual slip.
             hint = (
                 f"Did you mean {{{having[0]!r}: {{{kind!r}: {changes!r}}}}}?"
                 if having
@@ -152,6 +153,7 @@ class DenseReward:
             for k, tb in self.tables.items()
         }
         divisors = [
+            # 0 becomes 1 below: a kind without rewards divides by nothing.
             _normaliser(tables[name], options.normaliser) if name in tables else 0.0
             for name in SUBTASKS
         ]
@@ -169,11 +171,14 @@ class DenseReward:
         present = kinds_at_hand(kind, self.tables.keys())
         normaliser = constant(self._normaliser, like)[kind]
         xp = namespace(like)
+        # The usual case of training: no scattering into a larger table.
         if len(present) == len(self.tables) == 1:
             terms, total = self._score_kind(kind, present.pop(), view)
             return Scored(terms, total, normaliser)
         terms = zeros((len(self.names), kind.shape[0]), like)
+        # Of the dtype of the terms, not of Python's float.
         total = xp.zeros_like(terms[0])
+        # In a fixed order: the last bit of a sum depends on it.
         for number in sorted(present):
             # For all worlds, because selecting those of the kind costs more; the others get 0.
             values, sums = self._score_kind(kind, number, view)
@@ -196,6 +201,7 @@ class DenseReward:
         values = pile(
             [raw.get(t.name, gate) for t, gate in zip(table.terms, gates, strict=True)]
         )
+        # Chosen and not multiplied: raw values of terms that do not hold may be NaN.
         values = xp.where(given, values, 0.0)
         # One contiguous row per world: the last bit of a sum must not depend on the number of worlds.
         by_world = values.T.reshape(-1).reshape(values.T.shape)

@@ -218,8 +218,10 @@ class Styles:
             if isinstance(values[0], str):
                 drawn[name] = values[int(random.integers(len(values)))]
             elif isinstance(values[0], int):
+                # The end of a range counts, as a reader of "0..20" expects.
                 drawn[name] = int(random.integers(values[0], values[-1] + 1))
             else:
+                # Rounded, so that a record's text gives the very same style again.
                 value = round(float(random.uniform(values[0], values[-1])), 4)
                 drawn[name] = float(random.random() < value) if name in CHANCES else value
         return Style(**drawn)
@@ -280,6 +282,7 @@ def _read(name: str, text: str) -> tuple[Any, ...]:
         for word in words:
             if word not in valid:
                 raise unknown_name(f"{name} in --style", word, valid)
+        # In one order, so that equal distributions are recorded by equal words.
         return tuple(sorted(set(words), key=valid.index))
     kind: type[float] = type(getattr(PLAIN, name))
     low = f.metadata["low"]
@@ -292,7 +295,6 @@ def _read(name: str, text: str) -> tuple[Any, ...]:
         math.isfinite(v) and low <= v <= high for v in values
     )
     if not good or values != sorted(values):
-        what = "whole number" if kind is int else "number"
         what = "whole number" if kind is int else "number"
         raise wrong_value(
             f"--style {name}",

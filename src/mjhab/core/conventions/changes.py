@@ -70,6 +70,7 @@ def nearest_turn(
     if not any(endless):
         return angles
     per_turn = constant(turns(endless), angles)
+    # Rounding gives 0 turns within half a turn, so that what lies there keeps its bits.
     return angles - _TURN * namespace(angles).round((angles - reference) * per_turn)
 
 

@@ -35,6 +35,7 @@ def maniskill_angles(vectors: Array) -> Array:
     xp = namespace(vectors)
     rot = mat_from_rotation_vector(vectors)
     about_x = xp.arctan2(-rot[:, 1, 2], rot[:, 2, 2])
+    # Rounding can leave an entry of a rotation matrix beyond 1, of which there is no arcsine.
     about_y = xp.arcsin(xp.clip(rot[:, 0, 2], -1.0, 1.0))
     about_z = xp.arctan2(-rot[:, 0, 1], rot[:, 0, 0])
     return -xp.stack([about_x, about_y, about_z], axis=1)
@@ -48,5 +49,6 @@ def turns_for_maniskill(actions: Array) -> Array:
     """
     xp = namespace(actions)
     length = xp.sqrt(xp.sum(actions**2, axis=1, keepdims=True))
+    # By the length and not by entry, which would change the axis of the turn.
     clipped = actions / xp.maximum(length, constant((1.0,), length))
     return maniskill_angles(LARGEST_TURN_RAD * clipped) / LARGEST_TURN_RAD

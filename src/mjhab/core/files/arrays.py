@@ -69,9 +69,11 @@ class Arrays(Mapping[str, np.ndarray]):
             raise ValueError(
                 f"its arrays hold more than the {self._most_mb:g} MB that are read"
             )
+        # Twice: a member of an archive cannot be rewound cheaply, and the header must be judged first.
         with self._file.open(info) as stream:
             _check_size(name, stream, info.file_size)
         with self._file.open(info) as stream:
+            # Pickled objects run code of whoever wrote the file.
             return np.lib.format.read_array(stream, allow_pickle=False)
 
 

@@ -41,9 +41,11 @@ def cache_dir() -> Path:
     if wanted not in _USABLE:
         try:
             wanted.mkdir(parents=True, exist_ok=True)
+            # Tried by doing: permissions say nothing of read-only disks and full quotas.
             os.rmdir(tempfile.mkdtemp(prefix=".mjhab-", dir=wanted))
         except (OSError, ValueError) as error:
             wanted = _temporary_dir(wanted, error)
+        # Once per folder and process: the test writes to the disk.
         _USABLE.add(wanted)
     return wanted
 
@@ -76,10 +78,13 @@ def _temporary_dir(wanted: Path, error: Exception) -> Path:
             f"neither the cache {wanted} ({reason}) nor a temporary folder ({full.strerror}) can be written. Give a "
             f"folder with room for a few hundred MB by ${CACHE_VARIABLE}."
         ) from full
+    # With the number of this process: forked ones inherit the handler and would delete the folder of their parent.
     atexit.register(_delete_own, folder, os.getpid())
+    # The temporary folder does without: all of it can be made again.
     with contextlib.suppress(OSError):
         for room in wanted.iterdir():
             if room.is_dir() and room.name != _MANY_FILES:
+                # Links, so that what is already compiled is neither copied nor compiled again.
                 shutil.copytree(room, folder / room.name, copy_function=os.symlink)
     cause = f"the cache {wanted} cannot be written ({reason})"
     if wanted.is_relative_to(_NO_HOME):
@@ -113,6 +118,7 @@ def write_cached(path: Path, write: Callable[[Path], object]) -> Path:
     except OSError as error:
         root = next(folder for folder in _USABLE if path.is_relative_to(folder))
         moved = _temporary_dir(root, error) / path.relative_to(root)
+        # The variable names the temporary folder by now, which needs no test.
         _USABLE.add(_wanted_dir())
         try:
             write_atomic(moved, write)
@@ -168,8 +174,10 @@ def write_atomic(path: Path, write: Callable[[Path], object]) -> None:
     try:
         with naming_file(path):
             write(temporary)
+        # Not rename, which fails on Windows where the file exists.
         os.replace(temporary, path)
     finally:
+        # Also after an interruption: nobody else would ever delete it.
         temporary.unlink(missing_ok=True)
 
 

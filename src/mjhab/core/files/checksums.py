@@ -33,6 +33,7 @@ def published(root: Path) -> Iterator[tuple[str, Path]]:
     for path in sorted(root.rglob("*")):
         name = path.relative_to(root)
         if (
+            # Locks lie beside files while they are written, and are deleted.
             path.suffix != ".lock"
             and path.is_file()
             and not any(part.startswith(".") for part in name.parts)
@@ -54,6 +55,7 @@ def listed_in(describing: Path) -> Files:
         if not fits or not isinstance(what.get("sha256"), str):
             raise fault(describing, f"tells no bytes and sha256 of {str(name)[:80]!r}.")
         try:
+            # A list from elsewhere must not make us read outside of its folder.
             below(describing.parent, name)
         except ValueError as error:
             raise fault(describing, str(error)) from error
@@ -67,6 +69,7 @@ def differences(root: Path, files: Files) -> list[str]:
         path = root / name
         if not path.is_file():
             found.append(f"{name} is missing")
+        # The size first: it is free, and hashing takes seconds per GB.
         elif path.stat().st_size != told["bytes"]:
             found.append(f"{name} has {path.stat().st_size} bytes, not {told['bytes']}")
         elif sha256_of(path) != told["sha256"]:
@@ -76,6 +79,7 @@ def differences(root: Path, files: Files) -> list[str]:
         if (
             name not in files
             and name != README
+            # JSON may be the user's own notes; a further shard would be read as part of the data.
             and name.rpartition(".")[2] in known - {"json"}
         ):
             found.append(f"{name} is not listed")
@@ -85,4 +89,5 @@ def differences(root: Path, files: Files) -> list[str]:
 def sha256_of(path: Path) -> str:
     """SHA-256 of a file, in hexadecimal digits."""
     with path.open("rb") as file:
+        # Read in blocks: shards are larger than the memory of some machines.
         return hashlib.file_digest(file, "sha256").hexdigest()

@@ -23,9 +23,11 @@ def code_digest(*names: str) -> bytes:
     for name in names:
         place = _ROOT.joinpath(*name.split("."))
         files = (
+            # Sorted, because file systems list in any order.
             sorted(place.rglob("*.py")) if place.is_dir() else [place.with_suffix(".py")]
         )
         for file in files:
+            # The names, too: a file that moves changes what is imported.
             digest.update(file.relative_to(_ROOT).as_posix().encode())
             digest.update(file.read_bytes())
     return digest.digest()

@@ -17,6 +17,7 @@ def stop_signals() -> Iterator[Any]:
     seen: list[int] = []
 
     def note(number: int, frame: Any) -> None:
+        # Whoever presses it twice does not want to wait.
         if seen and number == signal.SIGINT:
             raise KeyboardInterrupt
         seen.append(number)
@@ -54,6 +55,7 @@ def held_interrupts() -> Iterator[None]:
 
     Outside of the main thread, which alone receives signals, this does nothing.
     """
+    # Python refuses to set handlers elsewhere.
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -68,6 +70,7 @@ def held_interrupts() -> Iterator[None]:
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
+    # One is enough: the second would interrupt the clean-up after the first.
     for number, _ in came[:1]:
         signal.raise_signal(number)
 

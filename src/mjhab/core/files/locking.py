@@ -51,6 +51,7 @@ class WriteLock:
         from filelock import FileLock, Timeout  # who only reads does not pay for it
 
         self._path = lock_path(path)
+        # No soft locks: they outlive a process that is killed.
         self._lock = FileLock(self._path, thread_local=False, fallback_to_soft=False)
         try:
             self._lock.acquire(timeout=_WAIT_SECONDS, poll_interval=_PAUSE_SECONDS)
@@ -60,7 +61,9 @@ class WriteLock:
             if error.errno not in _WITHOUT_LOCKS:
                 raise
         self._is_held = True
+        # Only the message of who is refused is poorer without it.
         with contextlib.suppress(OSError):
+            # With the machine, because the number of a process means nothing on another one.
             self._path.write_text(f"process {os.getpid()} on {socket.gethostname()}\n")
 
     def __enter__(self) -> WriteLock:
@@ -117,6 +120,7 @@ def _share(fd: int) -> bool:
 def _owner(lock: Path) -> str:
     """Who wrote the lock file, in words."""
     with contextlib.suppress(OSError):
+        # Cut and lenient: the file is of another process, which may just be writing it.
         said = lock.read_text(encoding="utf-8", errors="replace")[:200].strip()
         return said or "another process"
     return "another process"

@@ -27,6 +27,7 @@ def naming_file(path: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
+        # Errors of write and flush carry the number of a file at most.
         if error.filename is None:
             error.filename = str(path)
         raise
@@ -44,6 +45,7 @@ def check_output(path: Path, option: str = "--out") -> None:
             cannot be written.
     """
     try:
+        # Links to nowhere, devices and pipes: writing beside and renaming would replace them.
         if os.path.lexists(path) and not (path.is_file() or path.is_dir()):
             raise OSError("it is neither a file nor a folder")
         _probe(path)

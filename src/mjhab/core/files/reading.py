@@ -26,6 +26,7 @@ def check_file(path: Path, most_mb: float = math.inf) -> None:
         UsageError: it is missing, no regular file, or larger than ``most_mb``.
     """
     try:
+        # A pipe or device would block or never end.
         if path.exists() and not path.is_file():
             raise fault(path, "not a file.")
         size = path.stat().st_size
@@ -95,9 +96,11 @@ def unpack_gzip(raw: bytes, most_mb: float = MAX_JSON_MB) -> bytes:
     limit = int(most_mb * _MB)
     parts = []
     size = 0
+    # A gzip file may consist of several parts, one after the other.
     while raw.startswith(_GZIP):
         stream = zlib.decompressobj(_GZIP_WINDOW)
         try:
+            # One byte more than allowed tells a file of just the limit from a larger one.
             part = stream.decompress(raw, limit - size + 1)
         except zlib.error as error:
             raise ValueError(f"the gzip data is damaged ({error})") from error
@@ -132,8 +135,10 @@ def parse_json(
         raise ValueError(f"not valid JSON ({error})") from error
     except UnicodeDecodeError as error:
         raise ValueError(f"not text in UTF-8 ({error})") from error
+    # Python's parser recurses; a text of 100,000 brackets is valid JSON.
     except RecursionError as error:
         raise ValueError("not valid JSON (nested too deeply)") from error
+    # Python refuses to read integers of more than 4,300 digits.
     except ValueError as error:
         raise ValueError(f"not valid JSON ({reason(error)})") from error
 

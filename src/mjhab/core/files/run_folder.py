@@ -91,6 +91,7 @@ class RunFolder:
         Raises:
             UsageError: see `check`.
         """
+        # Through JSON, so that it equals what a later start reads: tuples become lists there.
         config = json.loads(json.dumps(config))
         cls.check(path, config, resume=resume, overwrite=overwrite)
         is_new = not path.exists()
@@ -107,6 +108,7 @@ class RunFolder:
             elif resume:
                 folder._take_up()
             write_json(path / cls.CONFIG_FILE, config, indent=2)
+        # Also Ctrl-C: a lock that stays would refuse the next start.
         except BaseException:
             lock.release()
             raise
@@ -117,10 +119,12 @@ class RunFolder:
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         refused = kind is not None and issubclass(kind, UsageError)
+        # Results that cost hours are kept whatever was wrong.
         refused = refused and not self._has_work()
         if refused:
             self._delete_refused()
         self.close()
+        # Only a folder that this start has made, and nobody else has used meanwhile.
         if refused and self._is_new and not any(self.path.iterdir()):
             self.path.rmdir()
 
@@ -142,6 +146,7 @@ class RunFolder:
 
     def _has_work(self) -> bool:
         return any(
+            # A file that was opened and never written holds no work.
             file.stat().st_size > 0
             for pattern in self.WORK
             for file in self.path.rglob(pattern)
@@ -155,6 +160,7 @@ class RunFolder:
     def _delete_refused(self) -> None:
         """Delete what this start has put into the folder."""
         self._delete_own()
+        # In a folder that held something, what is new cannot be told from what was there.
         for name in self._content(self.path) if self._was_empty else ():
             entry = self.path / name
             if entry.is_dir():
@@ -173,6 +179,7 @@ class RunFolder:
         cls, path: Path, config: Mapping[str, Any], *, resume: bool, overwrite: bool
     ) -> None:
         found = cls._content(path) if path.exists() else []
+        # Runs whose files are not known by name cannot be overwritten safely.
         again = "--overwrite to start it again, " if cls.OWN else ""
         resuming = f"Give --resume to continue that run, {again}or another --out."
         if found and not (resume or overwrite):
@@ -218,6 +225,7 @@ class RunFolder:
         old = cls._as_begun_now(old, config)
         changes = [
             change
+            # Keys of both: an option that only one version has is a difference, too.
             for key in sorted({*old, *config} - cls.FREE_KEYS)
             for change in _changes(key, old.get(key), config.get(key))
         ]

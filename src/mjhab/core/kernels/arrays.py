@@ -11,6 +11,7 @@ def read_only(values: np.ndarray, dtype: DTypeLike = np.float64) -> np.ndarray:
 
     Numba compiles a kernel again, which takes up to 15 s, for an array that differs in writeability or layout.
     """
+    # A view of its own, so that the caller's array stays writeable.
     view = np.ascontiguousarray(values, dtype).view()
     view.flags.writeable = False
     return view

@@ -22,6 +22,7 @@ def box_gap(
         inside = max(inside, over)
         if over > 0.0:
             outside += over * over
+    # One of the two is 0 for every point.
     return np.sqrt(outside) + min(inside, 0.0)
 
 
@@ -34,6 +35,7 @@ def least_box_gaps(
     ``center``, ``half``, ``rot``: (K, 3), (K, 3), (K, 3, 3) the boxes.
     """
     found = np.full(len(points), np.inf)
+    # Computed once for all points: it rejects most boxes without turning into their frames.
     corner = np.sqrt((half * half).sum(axis=1))
     for p in range(len(points)):
         x = points[p, 0]
@@ -46,6 +48,7 @@ def least_box_gaps(
             dy = y - center[k, 1]
             dz = z - center[k, 2]
             far = least + corner[k]
+            # Squares would hide the sign: a point deep inside of a box makes ``far`` negative.
             if far < 0.0 or dx * dx + dy * dy + dz * dz > far * far:
                 continue
             least = min(least, box_gap(x, y, z, center[k], half[k], rot[k]))

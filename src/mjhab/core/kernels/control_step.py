@@ -18,6 +18,7 @@ from mjhab.core.kernels.jit import Decorator, compiler
 
 _TURN = 2 * np.pi
 _floats, _flags, _whole, _counts = (
+    # Any layout and read-only accepts all arrays; else numba compiles again for each kind of view.
     partial(Array, dtype, layout="A", readonly=True)
     for dtype in (float64, boolean, int64, int32)
 )
@@ -78,6 +79,7 @@ def sense_hand(
     for w in range(len(columns)):
         for c in range(2):
             column = columns[w, c]
+            # A factor and no branch: the array function multiplies by its mask, and negative zeros must agree, too.
             scale = 1.0 if column >= 0 else 0.0
             for f in range(2):
                 for k in range(3):
@@ -192,6 +194,7 @@ def check_joints(
             near = near and abs(off) <= tolerance[w, j]
         still = True
         for j in range(len(limits)):
+            # Published stillness compares the signed speed.
             fast = abs(speed[w, j]) if absolute else speed[w, j]
             still = still and fast <= limits[j]
         found[0, w] = near

@@ -20,5 +20,6 @@ def scaled_int16(
         for row in range(height):
             # Unsigned: without a test for negative indices the loop is vectorised.
             for column in range(np.uint64(width)):
+                # Before the conversion: what does not fit into 16 bits would wrap around.
                 scaled = min(images[world, camera, row, column] * scale, most)
                 out[world, row, column] = np.int16(np.int32(np.rint(scaled)))

@@ -52,10 +52,13 @@ def compiler(*modules: str, **options: Any) -> Decorator:
         options: what `numba.njit` takes besides ``cache``, ``nogil`` and ``error_model``.
     """
     _announce()
+    # numba looks at the time of one file alone; kernels depend on others that they call.
     digest = code_digest("core.kernels.jit", *modules).hex()[:8]
     settings: dict[str, Any] = {
+        # Threads run kernels at the same time; none of them touches Python objects.
         "nogil": True,
         "cache": True,
+        # Division by zero gives infinity, as in the array functions; a check before each would also cost time.
         "error_model": "numpy",
     } | options
 

@@ -75,9 +75,12 @@ def load_plugins() -> tuple[Plugin, ...]:
     """
     global _done
     if not _done:
+        # Before the loading: a plugin that imports mjhab comes here again.
         _done = True
         for entry in sorted(
-            entry_points(group=ENTRY_POINT_GROUP), key=lambda entry: entry.name
+            # In a fixed order: it gives the numbers of subtasks in arrays.
+            entry_points(group=ENTRY_POINT_GROUP),
+            key=lambda entry: entry.name,
         ):
             _entries[entry.name] = entry
             _load(entry.name, f"entry point {entry.value}", entry.load)
@@ -155,6 +158,7 @@ def _load(name: str, origin: str, run: Callable[[], object]) -> Plugin:
     # A plugin is code of others: whatever it raises must not take mjhab down.
     except (Exception, SystemExit) as raised:
         error = f"{type(raised).__name__}: {raised}"
+        # Backwards, as later registrations may rest on earlier ones.
         for undo in reversed(loading.undo):
             undo()
         loading.registered.clear()
@@ -180,6 +184,7 @@ def _warn(message: str) -> None:
         PluginWarning,
         frame.f_code.co_filename,
         frame.f_lineno,
+        # That of the importing module, as for any warning of its own, so that Python tells it once per place.
         registry=frame.f_globals.setdefault("__warningregistry__", {}),
     )
 
@@ -197,6 +202,7 @@ def _import_path(path: Path) -> None:
         _MODULE_PREFIX
         + path.stem
         + "_"
+        # Two plugins may have files of one name in different folders.
         + hashlib.sha256(str(path).encode()).hexdigest()[:8]
     )
     folders = [str(path)] if path.is_dir() else None
@@ -210,6 +216,7 @@ def _import_path(path: Path) -> None:
     try:
         spec.loader.exec_module(module)
     except BaseException:
+        # A module that was executed in part must not be found by a second try.
         del sys.modules[name]
         raise
 
@@ -227,6 +234,7 @@ def source_digest(name: str) -> str:
         entry = _entries[name]
         files = _files_of_module(entry.module)
         if entry.dist is not None:
+            # Compiled parts of a distribution are no Python files; its version stands for them.
             digest.update(f"{entry.dist.name} {entry.dist.version}".encode())
     else:
         # By its full path: the working directory may be another one by now.

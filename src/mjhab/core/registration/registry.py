@@ -37,6 +37,7 @@ class Registry(Generic[Item]):
         """
         check_name(f"name of the {self._what}", name)
         source = plugins.current_source()
+        # Replacing silently would make results depend on the order of imports.
         if name in self._names:
             raise wrong_value(
                 self._what,
@@ -74,6 +75,7 @@ class Registry(Generic[Item]):
         """
         self.check(name)
         if name not in self._items:
+            # On first use: the built-in ones import their code only when they are asked for.
             self._items[name] = cast(Item, plugins.referred(self._references[name]))
         return self._items[name]
 

@@ -38,6 +38,7 @@ class Output:
 
 Positive = Annotated[int, Bound(1)]
 """A whole number of at least 1."""
+# Seeds are stored in int64 columns.
 SEED = Bound(0, 2**63 - 1)
 """Of the seed of a stream (`core.seeding`)."""
 
@@ -81,6 +82,7 @@ def check_bound(label: str, value: Any, bound: Bound) -> None:
         for one in value:
             check_bound(label, one, bound)
         return
+    # True would count as 1.
     if isinstance(value, bool) or not isinstance(value, int | float):
         return
     # Not (value < least): a NaN is in no bound.

@@ -12,6 +12,7 @@ class FrozenMap(Mapping[str, Any]):
     __slots__ = ("_entries",)
 
     def __init__(self, entries: Mapping[str, Any]) -> None:
+        # A copy, so that the mapping that was given can change without changing this one.
         self._entries = dict(entries)
 
     def __getitem__(self, key: str) -> Any:

@@ -46,6 +46,7 @@ def take_types(options: Any, apart: Collection[str] = (), owner: str = "") -> No
         # Some defaults are None themselves: something else determines them later.
         if value is not None or option.default is dataclasses.MISSING:
             value = fitting(option.name, hints[option.name], value, owner)
+        # The dataclasses are frozen for everybody else.
         object.__setattr__(options, option.name, value)
 
 
@@ -182,6 +183,7 @@ class _ValueReader:
         """The value as ``kind``, or `_UNFIT`."""
         origin = typing.get_origin(kind) or kind
         entries = typing.get_args(kind)
+        # By name, too: numpy's is no bool of Python, and numpy need not be loaded.
         is_bool = isinstance(value, bool) or type(value).__name__ == "bool"
         if kind is Any or (origin is typing.Literal and value in entries):
             return value
@@ -191,6 +193,7 @@ class _ValueReader:
             return int(value)
         if origin is float and isinstance(value, Real) and not is_bool:
             return _number(value)
+        # Texts and paths stand for each other, as callers mix them.
         if origin in (str, Path) and isinstance(value, str | PathLike):
             return self._text(name, origin, fspath(value))
         if origin in (tuple, list) and isinstance(value, list | tuple):
@@ -208,8 +211,10 @@ class _ValueReader:
         return value if fits else _UNFIT
 
     def _text(self, name: str, kind: Callable[[str], Any], value: Any) -> Any:
+        # A path may be made of bytes.
         if not isinstance(value, str):
             return _UNFIT
+        # The system ends a name at NUL, and would open another file.
         if len(value) > MAX_TEXT_CHARACTERS or "\0" in value:
             expected = f"a text of at most {MAX_TEXT_CHARACTERS:,} characters without NUL"
             raise wrong_value(name, value, expected, where=self.where)
@@ -243,6 +248,7 @@ class _ValueReader:
     def _fields(self, name: str, kind: Any, value: Mapping[str, Any]) -> Any:
         hints = typing.get_type_hints(kind)
         known = {field.name: field for field in dataclasses.fields(kind) if field.init}
+        # Unknown fields are told and not passed over: a misspelt one would silently have no effect.
         for key in sorted(set(value) - set(known)):
             raise unknown_name("field", key, known, where=self._place(name))
         lacking = [
@@ -273,4 +279,5 @@ def _number(value: Real) -> Any:
         number = float(value)
     except OverflowError:  # a whole number of hundreds of digits
         return _UNFIT
+    # JSON of Python holds NaN and infinity, which no field means.
     return number if math.isfinite(number) else _UNFIT

@@ -21,5 +21,7 @@ PREPARE_GROCERIES = TaskSpec(
     objects=("003_cracker_box", "005_tomato_soup_can", "024_bowl"),
     openings=(("fridge_door", FRIDGE_PREOPEN_RAD),),
     shelf_region=SHELF_REGION,
+    # As in the original: the way begins within 2 m of where the last object was put
+    # (mshab/utils/gen/gen_spawn_positions.py).
     departs_from_last_goal=True,
 )

@@ -27,5 +27,6 @@ SET_TABLE = TaskSpec(
         ),
     ),
     objects=("024_bowl", "013_apple"),
+    # So that the apple is not alone on its shelf, as among the clutter of the HAB episodes.
     shelf_clutter=1,
 )

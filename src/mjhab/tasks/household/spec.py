@@ -35,6 +35,7 @@ _NEEDED = {
 }
 """Required fields, with an example for the error message."""
 _NAME = re.compile(r"[a-z][a-z0-9_]*")
+# With links, so that chains which open something can be tried on it as well.
 _SAMPLE = Target("object", (0.0, 0.0, 0.0), start_link="link", goal_link="link")
 
 
@@ -66,8 +67,10 @@ class TargetRule:
 
     def __post_init__(self) -> None:
         take_types(self, ("start", "goal", "opens", "distance_m"), "a TargetRule")
+        # `take_types` leaves it out, because an unknown word deserves the list of words.
         if self.opens not in get_args(Opens):
             raise unknown_name("opens of a TargetRule", self.opens, get_args(Opens))
+        # A single role that is given as a text would be read letter by letter.
         check_texts("start", self.start, "a TargetRule")
         check_texts("goal", self.goal, "a TargetRule")
         for name in ("start", "goal"):
@@ -198,6 +201,7 @@ class TaskSpec:
     def object_types(self) -> tuple[str, ...]:
         """Types of its targets, without repeats; empty where any object of the roster may be one."""
         types = tuple(dict.fromkeys(rule.object for rule in self.targets))
+        # One rule for any object makes the whole roster possible.
         return () if "" in types else types
 
     @cached_property
@@ -233,9 +237,11 @@ class TaskSpec:
             len(targets),
             f"1 to {len(self.targets)}",
         )
+        # The chain may be a plugin's, and its error should tell which task it is of.
         with about(self.name, UsageError):
             subtasks = [
                 subtask
+                # Not strict: an episode of a file may have fewer targets than the task.
                 for rule, target in zip(self.targets, targets, strict=False)
                 for subtask in rule.subtasks(target)
             ]

@@ -23,6 +23,7 @@ def pick_and_place(target: Target) -> list[Subtask]:
             target.goal_link,
             target.goal_pos,
             must_hold=True,
+            # The goal and not the object, which is in the hand by then.
             toward=f"{GOAL_OF}{target.obj}",
         ),
         Subtask(
@@ -61,4 +62,5 @@ def _opened(target: Target, link: str, which: str) -> list[Subtask]:
     go = Subtask(kind.NAVIGATE, link=link, goal_pos=handle, toward=link)
     opening = Subtask(kind.OPEN, obj=target.obj, link=link, goal_pos=handle)
     closing = Subtask(kind.CLOSE, link=link, goal_pos=handle)
+    # The robot drives back before it closes, because the object was put elsewhere.
     return [go, opening, *pick_and_place(target), go, closing]

@@ -10,6 +10,7 @@ _ANYWHERE = ("open_surface",)
 TIDY_HOUSE = TaskSpec(
     name="tidy_house",
     words=("tidy up the house", "tidy the house", "clean up the home"),
+    # No object is named: habitat-lab draws the targets among all objects.
     targets=(TargetRule(start=_ANYWHERE, goal=_ANYWHERE),) * NUM_TARGETS,
     objects=("003_cracker_box", "005_tomato_soup_can", "024_bowl"),
 )

@@ -16,6 +16,7 @@ from mjhab.tasks.subtasks.registry import SUBTASKS, check_kinds, event_columns, 
 from mjhab.tasks.subtasks.spec import EDGES
 
 
+# By the version of the registry: a plugin that adds a kind changes the table.
 @lru_cache(maxsize=8)
 def _edge_index(version: int) -> Table:
     """(K + 1, E): row of EDGES that is the event of a column, for every kind; for kind -1 nothing occurs."""
@@ -60,12 +61,14 @@ def step_events(kind: Array, previous: Watched, current: Watched) -> Array:
 def edge_events(kind: Array, before: Array, now: Array) -> Array:
     """`step_events` (W, E) bool of two consecutive watched steps, each (K, W) bool with the rows ``WATCHED``."""
     check_kinds(kind)
+    # Once for both directions, since this runs in every control step.
     changed = before ^ now
     rise = changed & now
     fall = changed & before
     release = fall[_GRASPED][None]
     at_goal = now[_AT_GOAL][None]
     edges = namespace(kind).concat(
+        # The last row can never hold: it is the edge of columns that a kind does not have.
         (rise, fall, release & at_goal, release & ~at_goal, rise[:1] & fall[:1])
     )
     # (W, E): for every world the edges that are events of its kind.
@@ -81,6 +84,7 @@ def event_names(kind: Array, flags: Array) -> list[list[str]]:
     names: list[list[str]] = [[] for _ in range(table.shape[0])]
     kinds = to_numpy(kind)
     columns = {name: column for column, name in enumerate(event_columns())}
+    # In most steps nothing happens in most worlds.
     for w in np.flatnonzero(table.any(axis=1)).tolist():
         events = spec_of(int(kinds[w])).events
         names[w] = [name for name in events if table[w, columns[name]]]

@@ -29,10 +29,13 @@ def label(state: LabelState, kind: Array) -> Array:
     xp = namespace(kind)
     codes = xp.zeros_like(kind) - 1
     for number, spec in enumerate(SUBTASKS.values()):
+        # The last one has no condition: it is what is left.
         *rules, _ = spec.label_rules
         code = xp.zeros_like(kind) + len(rules)
+        # Backwards, so that an earlier rule overwrites a later one: the first that holds decides.
         for value in range(len(rules) - 1, -1, -1):
             code = xp.where(rules[value].holds(state), value, code)
+        # For all kinds and worlds: selecting rows on a device would wait for it.
         codes = xp.where(kind == number, code, codes)
     return codes
 

@@ -52,6 +52,7 @@ def legacy_history(kind: int, history: History) -> list[str | None]:
         history: (T+1, W) signals; row 0, the start state, is not looked at, as in the published code.
     """
     history = map_record(to_numpy, history)
+    # Without the start state, which the published code never sees.
     success = history.success[1:].any(axis=0)
     labels = []
     for w, found in enumerate(legacy_events(kind, history)):

@@ -90,11 +90,13 @@ class SubtaskTracker:
         """
         before = self._labels.now
         now = lb.watch(signals)
+        # The first step counts even if nothing changed: published labels begin from False.
         if not may_hold(~self._begun) and not may_hold(to_numpy(before ^ now)):
             # No check changed in any world: there are no events, and the state stays the same.
             return [[] for _ in self._notes]
         labels = lb.add(self._labels, now)
         if live is not None:
+            # A kind without events, so that worlds that are done notice none.
             kind = namespace(kind).where(live, kind, PADDING)
             labels = lb.choose(live, labels, self._labels)
         self._labels = labels
@@ -113,13 +115,16 @@ class SubtaskTracker:
         if first.any():
             self._begun |= live
             from_nothing = ev.event_names(
-                kinds, ev.edge_events(kinds, np.zeros_like(now), now)
+                # As if nothing had held before: that is what the published rules assume.
+                kinds,
+                ev.edge_events(kinds, np.zeros_like(now), now),
             )
             legacy_names = [
                 from_nothing[w] if first[w] else names[w] for w in range(len(names))
             ]
             self._at_goal_first = np.where(first, now[_AT_GOAL], self._at_goal_first)
         for w, note in enumerate(self._notes):
+            # Both, because only one of them has events of the start state.
             if names[w] or legacy_names[w]:
                 extend(note.legacy, int(kinds[w]), legacy_names[w])
                 note.events.extend((int(step[w]), name) for name in names[w])

@@ -112,6 +112,7 @@ class RewardTable:
     def attainable(self) -> float:
         """Largest possible sum of the terms over ``cases``: raw values are 1, or 0 for terms with a negative scale."""
         return max(
+            # Not ``sum``, whose last bit depends on the version of Python.
             ordered_sum(
                 max(t.scale, 0.0) for t in self.terms if t.when in (ALWAYS, *case)
             )
@@ -142,6 +143,7 @@ class RewardTable:
             if (
                 isinstance(scale, bool)
                 or not isinstance(scale, int | float)
+                # Infinity would make every reward NaN.
                 or not math.isfinite(scale)
             ):
                 raise wrong_value(
@@ -174,6 +176,7 @@ def near(
         raise wrong_value(
             "distances", strange, "names that sharpness has, too, and the other way round"
         )
+    # One call of tanh for all terms: on small arrays the calls cost more than the arithmetic.
     rows = pile([distances[name] for name in sharpness])
     column = constant(tuple(sharpness.values()), rows)[:, None]
     return dict(zip(sharpness, 1 - namespace(rows).tanh(column * rows), strict=True))
@@ -191,6 +194,7 @@ def length(x: Array) -> Array:
     layout of ``x`` nor on the number of worlds.
     """
     xp = namespace(x)
+    # Copies where rows are not contiguous, and else costs nothing.
     x = x.reshape(-1).reshape(x.shape)
     return xp.sqrt(xp.vecdot(x, x))
 
@@ -213,6 +217,7 @@ def joint_speed(world: WorldState, config: TaskConfig) -> Array:
 def torso_speed(world: WorldState, config: TaskConfig) -> Array:
     """(W,) speed of the torso, upwards [m/s]; 0 for a robot without one."""
     torso = config.joints.torso
+    # Zeros of the same library, device and dtype.
     return world.robot_qd[:, BASE_X] * 0.0 if torso is None else world.robot_qd[:, torso]
 
 
@@ -228,6 +233,7 @@ def rest_distance(world: WorldState, config: TaskConfig) -> Array:
     tcp = world.tcp_pos
     xp = namespace(base)
     rx, ry, rz = config.ee_rest_pos
+    # Polar, with one cosine and one sine per world in place of four products.
     radius = math.hypot(rx, ry)
     heading = base[:, BASE_YAW] + math.atan2(ry, rx)
     dx = tcp[:, 0] - base[:, 0] - radius * xp.cos(heading)
@@ -245,7 +251,9 @@ def share_left(gap: Array, whole: Array, *, bounded: bool = True) -> Array:
         bounded: clip to 1; without it the share exceeds 1 where a joint is beyond its limit, as in the original.
     """
     xp = namespace(gap)
+    # A joint without range would divide by zero.
     left = above_zero(gap) / xp.where(whole > 0, whole, 1.0)
+    # Without the bound a joint beyond its start gives less than nothing, as in the published code.
     return xp.where(left < 1, left, 1.0) if bounded else left
 
 

@@ -82,9 +82,11 @@ def _close(
         "still": joint_speed(world, config),
     }
     raw = near(_CLOSE_SHARPNESS, distances)
+    # Two slopes, as in mshab/envs/close.py: one that is felt far away and one that is steep near rest.
     raw["posture"] = raw["posture_closed"] = (raw["posture"] + raw["posture_far"]) / 2
     raw["rest"] = (raw["rest"] + raw["rest_near"]) / 2
     span = world.joint_max - world.joint_min
+    # Counted from fully open, wherever the episode began.
     travel = (1 - config.close_fraction) * span
     raw["progress"] = 1 - share_left(
         travel - (world.joint_max - world.joint_q), travel, bounded=not published

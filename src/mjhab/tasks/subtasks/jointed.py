@@ -45,6 +45,7 @@ def label_rules(names: JointNames) -> tuple[LabelRule, ...]:
             "success_then_excessive_collisions",
             lambda s: s.ever("success") & s.ever("excess"),
         ),
+        # Before the plain success, which it is a special case of.
         LabelRule("dubious_success", lambda s: s.ever("success") & ~s.holds(there)),
         LabelRule(names.done, lambda s: s.ever("success")),
         LabelRule("excessive_collision_failure", lambda s: s.ever("excess")),
@@ -85,6 +86,7 @@ def _published_label(
     if success:
         if EXCESS in events:
             return "success_then_excessive_collisions"
+        # By the order of events, as there; our own rules look at the last state instead.
         return "dubious_success" if back > there else names.done
     if EXCESS in events:
         return "excessive_collision_failure"
@@ -108,12 +110,14 @@ def jointed_subtask(names: JointNames, reward: RewardTable, **own: Any) -> Subta
     published = published_labels(names)
     return SubtaskSpec(
         about="link",
+        # The paper's numbers (App. A.2; mshab/envs/planner.py).
         limits=SubtaskConfig(200, 10000.0),
         conditions=(names.there, *AT_REST),
         checks=JOINT_CHECKS,
         label_rules=label_rules(names),
         published=published,
         events=(*published.events, "lost_contact", "lost_success"),
+        # Of Close, "opened" means no longer slightly closed, and the other way round: both are the falling edge.
         edges={names.back: f"-{names.slightly}"},
         reward=reward,
         **own,

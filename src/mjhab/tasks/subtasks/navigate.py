@@ -92,7 +92,9 @@ def _navigate(
         "rest": rest_distance(world, config),
     }
     raw = near(_SHARPNESS, distances)
+    # The term grows with the speed, while all others fall with a distance.
     raw["forward"] = 1 - raw["forward"]
+    # Without the object that must be carried no progress is rewarded.
     ready = signals.is_grasped | ~signals.must_hold
     near_goal = ready & signals.near
     aligned = near_goal & signals.oriented
@@ -161,6 +163,7 @@ NAVIGATE = SubtaskSpec(
     words=("go to {destination}", "drive to {destination}", "move to {destination}"),
     color="#94a3b8",
     about="way",
+    # No force limit: the original stops no drive that touches furniture (mshab/envs/planner.py).
     limits=SubtaskConfig(500, math.inf),
     train_horizon=TRAIN_HORIZON_STEPS,
     conditions=("near", "oriented", "hold_ok", *AT_REST),

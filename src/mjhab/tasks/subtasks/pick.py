@@ -91,7 +91,10 @@ def _pick(
         "posture": posture_error(world, config),
         "force": force_excess(signals.robot_force, HAND_FORCE_PER_NEWTON),
         "torso_still": xp.where(
-            distance < TORSO_FREE_RANGE, 0.0, xp.abs(torso_speed(world, config))
+            # Near the object the torso may have to move to reach it.
+            distance < TORSO_FREE_RANGE,
+            0.0,
+            xp.abs(torso_speed(world, config)),
         ),
         "above": xp.sqrt(x * x + y * y),
         "rest": rest_distance(world, config),
@@ -132,6 +135,7 @@ LABEL_RULES = (
     ),
     LabelRule("cant_grasp_failure", lambda s: ~s.ever("is_grasped")),
     LabelRule("drop_failure", lambda s: ~s.holds("is_grasped")),
+    # What is left: the object is held, and the hand is not back at rest.
     LabelRule("too_slow_failure"),
 )
 
@@ -139,6 +143,7 @@ LABEL_RULES = (
 def _published_label(events: Sequence[str], success: bool, at_goal_first: bool) -> str:
     """The rule for Pick of mshab/utils/label_dataset.py."""
     if success:
+        # Contact, grasp, success and nothing else: each once, in this order.
         if len(events) == 3:
             return "straightforward_success"
         if len(events) > 3 and events[-1] == "success":
@@ -191,6 +196,7 @@ PICK = SubtaskSpec(
     events=(*PUBLISHED.events, "lost_contact", "lost_success"),
     reward=REWARD,
     shows=("object",),
+    # With an object in the hand the original allows 0.6 in place of 0.2 rad from rest.
     rests_holding=True,
     start="mjhab.episodes.starts.pick:START",
     expert="mjhab.experts.skills.pick_by_rule:pick",

@@ -104,8 +104,10 @@ def _place(
     )
     distances = {
         "slow_hand": hand_speed,
+        # An object in the hand moves with it, and must not be slowed down for that.
         "slow_object": xp.where(signals.is_grasped, 0.0, linear + angular),
         "force": force_excess(signals.robot_force, HAND_FORCE_PER_NEWTON),
+        # Downwards alone: raising the torso brings the hand over the goal.
         "torso_not_sinking": above_zero(-torso_speed(world, config)),
         "transport": object_way,
         "hand": hand_way,
@@ -159,6 +161,7 @@ LABEL_RULES = (
     LabelRule("wont_let_go_failure", lambda s: s.holds("is_grasped")),
     LabelRule("too_slow_failure", lambda s: s.holds("at_goal")),
     LabelRule("place_in_goal_failure", lambda s: s.release_at_goal),
+    # What is left: it was at its goal, was released elsewhere, and is not there.
     LabelRule("drop_to_goal_failure"),
 )
 
@@ -174,6 +177,7 @@ def _place_success(events: Sequence[str], at_goal_first: bool) -> str:
         return "success_then_excessive_collisions"
     if last(events, "at_goal") < last(events, "left_goal"):
         return "dubious_success"
+    # An object that is at its goal from the first action on has no event for it.
     if len(events) <= 4 and ("released_at_goal" in events or at_goal_first):
         return "placed_in_goal_success"
     if len(events) <= 4 and ("released_outside_goal" in events or not at_goal_first):
@@ -242,6 +246,7 @@ PLACE = SubtaskSpec(
     events=(*PUBLISHED.events, "lost_success"),
     reward=REWARD,
     starts_holding=True,
+    # In a chain the object has to stay while later subtasks are done.
     keeps_goal=True,
     start="mjhab.episodes.starts.place:START",
     expert="mjhab.experts.skills.place_by_rule:place",

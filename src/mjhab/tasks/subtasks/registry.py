@@ -94,6 +94,7 @@ def check_kinds(kind: Array) -> None:
         UsageError: names the number and the kinds there are.
     """
     if isinstance(kind, np.ndarray) and kind.size:
+        # Both ends suffice: what lies between is a number of a kind.
         for strange in (int(kind.max()), int(kind.min())):
             if strange != PADDING:
                 name_of(strange)
@@ -113,6 +114,7 @@ def properties(kind: Array, *names: str) -> Array:
         UsageError: a kind that is not registered, see `check_kinds`.
     """
     check_kinds(kind)
+    # ``kind < kind`` is bool on the right device: the table gets the dtype of what it is made like.
     return constant(_property_table(names, SUBTASKS.version), kind < kind)[:, kind]
 
 
@@ -158,6 +160,7 @@ def horizons(config: TaskConfig) -> tuple[int, ...]:
 
 def force_limits(config: TaskConfig) -> tuple[float, ...]:
     """Force limit of every kind [N x control steps], by number, then infinity: what a finished plan reads."""
+    # The entry behind the last kind is what number -1 reads.
     return (*(limits_of(config, name).force_limit for name in SUBTASKS), math.inf)
 
 

@@ -56,6 +56,7 @@ def layout_hash(model: mujoco.MjModel) -> str:
         model.body_parentid,
         model.jnt_type,
         model.geom_type,
+        # Which mesh a geom has, by number: homes share the list of meshes.
         model.geom_dataid,
         model.sensor_type,
     ):
@@ -80,6 +81,7 @@ def check_homes(
     """
     report = HomesReport(homes=len(homes))
     for home in homes:
+        # The floor of a home that does not compile says nothing more.
         why = _compile(layout, home, report) or _floor(layout, home)
         if why:
             report.failed.append((home.name, why))
@@ -102,6 +104,7 @@ def _compile(layout: Layout, home: Home, report: HomesReport) -> str:
         report.compile_s += time.perf_counter() - start
     report.model_bytes += model_bytes(model)
     digest = layout_hash(model)
+    # The first home is the measure for all others.
     if not report.layout:
         report.layout = digest
         report.ngeom = model.ngeom

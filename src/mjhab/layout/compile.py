@@ -27,7 +27,9 @@ def home_hash(layout: Layout, home: Home) -> str:
     layout, with the home, so that the home's id is not reused.
     """
     return layout.derived.get(
-        ("hash", id(home)), lambda: (home, _home_hash(layout, home))
+        # With the home in the value: an id may be given again once its object is gone.
+        ("hash", id(home)),
+        lambda: (home, _home_hash(layout, home)),
     )[1]
 
 
@@ -49,6 +51,7 @@ def _home_hash(layout: Layout, home: Home) -> str:
             )
         ).encode()
     )
+    # The same for all homes of a layout; hashing meshes takes longest.
     digest.update(layout.derived.get("pieces", lambda: _pieces(layout)))
     return digest.hexdigest()[:24]
 
@@ -60,6 +63,7 @@ def _pieces(layout: Layout) -> bytes:
     told = repr((*furniture, layout.objects)).encode()
     return told + b"".join(
         name.encode() + pack.meshes[name].vertices.tobytes()  # type: ignore[attr-defined]
+        # Only vertices: collision takes their convex hull, and faces are drawn from elsewhere.
         for name in sorted(pack.meshes)
     )
 
@@ -85,8 +89,11 @@ def compile_home(layout: Layout, home: Home) -> mujoco.MjModel:
             if layout.joint_dynamics == PUBLISHED_DYNAMICS:
                 pieces = layout.pack.articulations.values()
                 give_stopped_weight(model, pieces, layout.stopped_links)
+            # Before it is saved, so that the file has the trees that searches take.
             rebuild_trees(model)
+        # What MuJoCo raises for a spec that it cannot compile.
         except ValueError as error:
+            # MuJoCo's messages have several lines.
             reason = ", ".join(str(error).splitlines())
             raise fault(f"home {home.name!r}", f"does not compile: {reason}") from error
         # Saving drops the signature of a freshly compiled model: loading from the file makes all models equal.

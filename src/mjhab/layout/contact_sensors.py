@@ -117,7 +117,9 @@ def pair_force(
     """
     listed = _slots(readings, _FORCE_SLOT)
     touched = _slots(touches, _TOUCH_SLOT)
+    # Exactly equal and not within a tolerance: two contacts may lie closer than any.
     same = (listed[..., :, None, 4:7] == touched[..., None, :, 1:4]).all(axis=-1)
+    # Empty slots are zeros, which would match each other.
     same &= (listed[..., :, None, 0] > 0) & (touched[..., None, :, 0] > 0)
     common = same.any(axis=-1)
     force = np.where(common[..., None], _normals(listed), 0.0).sum(axis=-2)
@@ -130,4 +132,5 @@ def _slots(readings: np.ndarray, width: int) -> np.ndarray:
 
 def _normals(listed: np.ndarray) -> np.ndarray:
     """Return (..., CONTACT_SLOTS, 3): normal force vectors [N] of the contacts of force sensors, world frame."""
+    # The first number in the contact's frame is the normal force.
     return listed[..., 1:2] * listed[..., 7:10]

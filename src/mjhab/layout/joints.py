@@ -78,6 +78,7 @@ def add_joint(
         joint.solref_limit = STOP_SOLREF
         joint.solimp_limit = STOP_SOLIMP
         return
+    # The wall is then met by the stop, without a contact that the solver would have to hold.
     joint.range = (low, min(high, limit))
     joint.armature = JOINT_ARMATURE
     joint.damping[0] = SLIDE_DAMPING if slide else HINGE_DAMPING
@@ -101,7 +102,9 @@ def stop_at_walls(geom: mujoco.MjsGeom) -> None:
     """
     geom.contype = 0
     geom.conaffinity = contact_bits.WALL
+    # Without friction: a stop of a hinge has none either.
     geom.condim = 1
+    # So that its softness counts, and not a mean with that of the wall.
     geom.priority = 1
     geom.solref = STOP_SOLREF
     geom.solimp = STOP_SOLIMP
@@ -124,9 +127,11 @@ def give_stopped_weight(
     links = {
         f"{piece.name}/{link.name}": link for piece in pieces for link in piece.links
     }
+    # Sorted, so that the model has the same bits in every process.
     for name in sorted(stopped):
         link = links[name]
         body = model.body(name).id
+        # MuJoCo has found one.
         if model.body_invweight0[body, 0] > _NO_WEIGHT:
             continue
         arm = float(np.hypot(*link.handle.pos[:2]))

@@ -64,6 +64,7 @@ def compose(
     """
     out_pos = np.zeros(3)
     out_quat = np.zeros(4)
+    # MuJoCo's own arithmetic, so that poses have the bits of those in the model.
     mujoco.mju_rotVecQuat(out_pos, np.asarray(local_pos, float), np.asarray(quat, float))
     mujoco.mju_mulQuat(out_quat, np.asarray(quat, float), np.asarray(local_quat, float))
     out_pos += pos
@@ -127,12 +128,15 @@ class Layout:
         self.robot = robot or robot_named()
         copies: Counter[str] = Counter()
         for home in pack.homes:
+            # The largest number of copies that any home has, by template.
             copies |= Counter(p.template for p in home.props)
         self.prop_slots = tuple(
             PropSlot(f"{name}_{k}", name, k)
+            # Sorted and not as met: the order of the slots must not depend on the order of the homes.
             for name in sorted(copies)
             for k in range(copies[name])
         )
+        # Spare walls are parked; a model with fewer geoms could not share a batch with the others.
         self.num_walls = max(len(home.walls) for home in pack.homes)
         self.articulations: tuple[Articulation, ...] = tuple(
             pack.articulations[n] for n in sorted(pack.articulations)
@@ -175,6 +179,7 @@ class Layout:
         poses = np.zeros((self.num_objects, 7))
         poses[:, 0] = PARK_ORIGIN[0] + 0.5 * np.arange(self.num_objects)
         poses[:, 1] = PARK_ORIGIN[1]
+        # Standing on the floor, where they go to sleep and cost nothing.
         poses[:, 2] = [kind.half[2] for kind in self.objects]
         poses[:, 3] = 1.0
         return poses

@@ -47,6 +47,7 @@ def build_spec(layout: Layout, home: Home) -> mujoco.MjSpec:
     """Build the MjSpec of one home of a layout: robot, walls, furniture, objects, sensors."""
     spec = mujoco.MjSpec()
     spec.modelname = home.name
+    # Room for the contacts of a pile; it is only reserved.
     spec.memory = 64 << 20
     physics_options(spec)
     spec.default.geom.friction[0] = SLIDING_FRICTION
@@ -57,6 +58,7 @@ def build_spec(layout: Layout, home: Home) -> mujoco.MjSpec:
         type=plane,
         size=[0, 0, 1],
         contype=contact_bits.STATIC,
+        # Whatever stands still meets what moves by the affinity of the latter alone.
         conaffinity=0,
     )
     _add_meshes(spec, layout)
@@ -65,6 +67,7 @@ def build_spec(layout: Layout, home: Home) -> mujoco.MjSpec:
         wall = (
             home.walls[k]
             if k < len(home.walls)
+            # Small and far below: a geom cannot be left out, since all homes have one layout.
             else Geom("box", (0.01, 0.01, 0.01), PARKED)
         )
         bits = wall_bits(layout.joint_dynamics, layout.stopped_links)
@@ -73,6 +76,7 @@ def build_spec(layout: Layout, home: Home) -> mujoco.MjSpec:
         layout.prop_slots, layout.slot_placements(home), strict=True
     ):
         prop = layout.pack.props[slot.template]
+        # A base drives over rugs; objects still lie on them.
         bit = contact_bits.STATIC if prop.blocks_base else contact_bits.RUG
         _add_static(world, prop.geoms, slot.name, placement, bit)
     for articulation in layout.articulations:
@@ -92,6 +96,7 @@ def _add_meshes(spec: mujoco.MjSpec, layout: Layout) -> None:
     for furniture in (*pack.props.values(), *pack.articulations.values()):
         used |= {g for g in furniture.geoms if g.collide}
     scaled = {_mesh_name(g): g for g in used if g.shape == "mesh"}
+    # Sorted: the order of a set differs between processes, and with it the model.
     for name in sorted(scaled):
         geom = scaled[name]
         vertices = np.asarray(pack.meshes[geom.mesh].vertices, float)  # type: ignore[attr-defined]
@@ -160,12 +165,14 @@ def _add_articulation(
     for link in articulation.links:
         pos, quat = compose(at.pos, at.rotation, link.pos)
         name = f"{articulation.name}/{link.name}"
+        # In the world and not below a body of the furniture: what stands still is fused with the world's body.
         body = spec.worldbody.add_body(name=name, pos=pos, quat=quat)
         add_joint(body, name, link, layout.joint_dynamics, limits.get(name, np.inf))
         spread_mass(body, link, layout.joint_dynamics)
         stopped = name in layout.stopped_links
         met = layout.joint_dynamics == PUBLISHED_DYNAMICS and stopped
         solid = [g for g in link.geoms if g.collide]
+        # One density for all geoms gives the mass of the file, spread by volume.
         density = link.mass / ordered_sum(volume(g, None) for g in solid)
         for i, geom in enumerate(solid):
             _add_geom(body, geom, f"{name}/{i}", contact_bits.JOINTED, density=density)
@@ -195,6 +202,7 @@ def _add_object(
             conaffinity=affinity,
             density=density,
         )
+        # With rolling friction, so that cans come to rest and sleep.
         added.condim = 6
         added.friction = OBJECT_FRICTION
 

@@ -83,6 +83,7 @@ def placed_receptacles(layout: Layout, home: Home) -> tuple[PlacedReceptacle, ..
             ]
     for articulation in layout.articulations:
         placement = layout.articulation_placement(home, articulation.name)
+        # Parked below the floor: the home lacks it.
         if placement not in home.articulations:
             continue
         origin = {link.name: link.pos for link in articulation.links}

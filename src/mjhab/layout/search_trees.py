@@ -27,12 +27,14 @@ def rebuild_trees(model: mujoco.MjModel) -> None:
     """Build the search trees of bodies with many geoms anew, in place."""
     for body in range(model.nbody):
         start, count = int(model.body_bvhadr[body]), int(model.body_bvhnum[body])
+        # A binary tree of n leaves has 2 n - 1 nodes.
         if count >= 2 * FEWEST - 1:
             _rebuild(model, slice(start, start + count))
 
 
 def _rebuild(model: mujoco.MjModel, nodes: slice) -> None:
     """Build the tree of one body anew; ``nodes`` are its rows, the first one is the root."""
+    # Views into the model, which is changed through them.
     children, boxes = model.bvh_child[nodes], model.bvh_aabb[nodes]
     names, depths = model.bvh_nodeid[nodes], model.bvh_depth[nodes]
     leaves = np.flatnonzero((children < 0).all(axis=1))
@@ -83,10 +85,11 @@ class _Tree:
     def split(self, some: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Two parts of some leaves whose searches cost least."""
         far = self._far[some]
+        # Endless boxes meet every search; apart from the rest they are found at once.
         if 0 < np.count_nonzero(far) < len(some):
             return some[far], some[~far]
         count = np.arange(1, len(some))
-        # Along each axis, from its one end and from the other.
+        # Along each axis, from its one end and from the other; stable, so that equal boxes keep their order everywhere.
         along = some[np.argsort(self._boxes[some, :3], axis=0, kind="stable").T]
         before, after = np.split(self._costs(np.concatenate([along, along[:, ::-1]])), 2)
         costs = before[:, :-1] * count + after[:, -2::-1] * (len(some) - count)
@@ -97,5 +100,6 @@ class _Tree:
         """Of the first 1, 2, ... leaves of orders (K, N): in how much room a search meets their box, (K, N) [m^3]."""
         low = np.minimum.accumulate(self._low[orders], axis=1)
         high = np.maximum.accumulate(self._high[orders], axis=1)
+        # A search of some size meets a box that is larger by that size.
         sides = np.minimum(high - low, FAR_M) + SEARCHED_M
         return sides[..., 0] * sides[..., 1] * sides[..., 2]

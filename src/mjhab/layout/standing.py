@@ -49,12 +49,14 @@ def _standing_on(layout: Layout, home: Home) -> dict[str, Outlines]:
     drawn: dict[int, list[np.ndarray]] = {}
     found: dict[str, Outlines] = {}
     for place in placed_receptacles(layout, home):
+        # Heights first, for all things at once: most are out of question.
         lift = bottoms - place.pos[2]
         near = np.flatnonzero((lift >= -BELOW_M) & (lift <= ABOVE_M)).tolist()
         outlines: list[np.ndarray] = []
         for k in near:
             if place.id.startswith(things[k].slot + "/"):
                 continue
+            # A thing may be near several receptacles.
             if k not in drawn:
                 drawn[k] = _outlines(things[k], layout.pack)
             outlines += [p for p in drawn[k] if _reaches(p, _corners(place))]
@@ -81,9 +83,12 @@ def _things(layout: Layout, home: Home) -> list[_Thing]:
 
 
 def _bottom(layout: Layout, template: str, at: Placement) -> float | None:
+    # A turn about the vertical does not change the lowest point, so that most copies share one.
     turned = None if at.quat is None else at.rotation
     low = layout.pack.derived.get(
-        ("bottom", template, turned), lambda: (_lowest(layout.pack, template, turned),)
+        ("bottom", template, turned),
+        lambda: (_lowest(layout.pack, template, turned),),
+        # A tuple, since a cache cannot hold None.
     )[0]
     return None if low is None else low + at.pos[2]
 
@@ -108,7 +113,9 @@ def _points(pack: Pack, template: str, at: Placement) -> list[np.ndarray]:
 
 
 def _outlines(thing: _Thing, pack: Pack) -> list[np.ndarray]:
+    # To nanometres, so that points that differ by rounding are one.
     flat = [p[:, :2].round(9) for p in _points(pack, thing.template, thing.placement)]
+    # Points above each other are one in the plane.
     unique = [np.unique(points, axis=0) for points in flat]
     return [points[ConvexHull(points).vertices] for points in unique]
 

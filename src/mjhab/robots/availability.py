@@ -9,6 +9,7 @@ from mjhab.robots.robot import Robot
 def missing_files(robot: Robot) -> str:
     """Return which files of a robot are missing and the command that installs them; "" if none are missing."""
     try:
+        # Its links are read on first use, and only then it shows that a file is missing.
         _ = robot.body
     except MjhabError as error:
         return str(error)

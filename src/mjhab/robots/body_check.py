@@ -132,6 +132,7 @@ def _links(body: Body, base_link: str, robot: str) -> tuple[str, ...]:
     found = [base_link]
     for row in body.tree:
         check(
+            # Parents first: the model and the chains are built in one pass over the tree.
             row.parent in found,
             f"parent of link {row.link!r} of load_body",
             row.parent,

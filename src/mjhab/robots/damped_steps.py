@@ -35,10 +35,13 @@ def damped_step(error: Array, jac: Array, pull: Array, damping: float = DAMPING)
         (N, D) joint changes.
     """
     xp = namespace(error)
+    # Bounded, so that a goal far away does not freeze the joints.
     size = xp.minimum(xp.sum(error * error, axis=1), constant((1.0,), error))
+    # E x E and not D x D: the task has at most 6 numbers, robots have more joints.
     square = jac @ jac.swapaxes(1, 2) + (damping + DAMPING_PER_ERROR * size)[
         :, None, None
     ] * constant(_EYES[error.shape[1]], error)
+    # The pull moves the tcp as well; what it does is taken off the error.
     wanted = error - xp.einsum("nij,nj->ni", jac, pull)
     return xp.einsum("nij,ni->nj", jac, _solve(square, wanted)) + pull
 
@@ -46,6 +49,7 @@ def damped_step(error: Array, jac: Array, pull: Array, damping: float = DAMPING)
 def _solve(square: Array, wanted: Array) -> Array:
     """Solve ``square x = wanted`` (N, E) for symmetric positive definite matrices (N, E, E); return x (N, E)."""
     if isinstance(square, np.ndarray):
+        # As a matrix with one column: numpy 2 reads a stack of vectors as one matrix.
         return np.linalg.solve(square, wanted[..., None])[..., 0]
     # torch's solver waits for the device to check success. These matrices need no pivots in Gauss-Jordan elimination.
     xp = namespace(square)
@@ -99,6 +103,7 @@ def limited_step(
     xp = namespace(error)
     stopped = xp.zeros_like(pull)
     free = xp.ones_like(pull)
+    # Joints that are stopped push others to their limits, so that one round is not enough.
     for last in (False, False, True):
         remaining = error - xp.einsum("nij,nj->ni", jac, stopped)
         step = _bounded(

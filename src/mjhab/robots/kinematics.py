@@ -159,6 +159,7 @@ class Chain:
                 x, y or z.
         """
         rows = {row.link: row for row in tree}
+        # x, y, yaw in this order, as the model has them: a yaw first would turn the others.
         wanted = _base_joints(order, root.link) if root.moves else []
         for link in (tip, *extra):
             _collect(link, rows, wanted, root.link)
@@ -202,6 +203,7 @@ class Chain:
         found: list[int] = []
         link = self.tip_index
         while link > 0:
+            # Fixed joints move nothing.
             if self.column[link - 1] >= 0:
                 found.append(link - 1)
             link = self.parent[link - 1]
@@ -234,6 +236,7 @@ class Chain:
         )  # [n, link, axis, xyz]: rows are the link axes
         pos[:, 0] = constant((0.0, 0.0, self.root_height), q)
         axes[:, 0] = constant(IDENTITY_MATRIX, q)
+        # For all columns in one call; those of sliding joints are not used.
         cos = xp.cos(q)
         sin = xp.sin(q)
         for i, joint in enumerate(self.joints):
@@ -242,8 +245,10 @@ class Chain:
             col = self.column[i]
             point = pos[:, up]
             for k in range(3):
+                # Most offsets have one or two numbers that are 0.
                 if joint.pos[k]:
                     point = point + joint.pos[k] * axes[:, up, k]
+            # Written first for all kinds: a hinge then replaces two of the three axes.
             axes[:, link] = axes[:, up]
             if joint.kind == "slide":
                 k = joint.axis
@@ -252,6 +257,7 @@ class Chain:
             elif joint.kind == "hinge":
                 k = joint.axis
                 sign = joint.sign
+                # A turn about axis k mixes the other two and leaves k as it is.
                 a = (k + 1) % 3
                 b = (k + 2) % 3
                 c = cos[:, col, None]
@@ -259,6 +265,7 @@ class Chain:
                 axes[:, link, a] = c * axes[:, up, a] + s * axes[:, up, b]
                 axes[:, link, b] = c * axes[:, up, b] - s * axes[:, up, a]
             pos[:, link] = point
+        # Kept transposed on the way, so that an axis is a contiguous row.
         return Frames(self.links, pos, axes.swapaxes(-1, -2))
 
     def tip_pose(self, q: Array) -> tuple[Array, Array]:
@@ -360,6 +367,7 @@ def _joint(row: TreeRow) -> Joint:
     if not row.joint:
         return Joint(row.link, "fixed", row.parent, row.link, row.origin)
     for k in range(3):
+        # Axes along x, y, z save the general rotation about an axis in `forward`.
         if abs(abs(row.axis[k]) - 1.0) < 1e-12:
             kind: Literal["slide", "hinge"] = "slide" if row.slide else "hinge"
             return Joint(

@@ -30,12 +30,19 @@ def coarse_mesh(vertices: np.ndarray, faces: np.ndarray, most_faces: int) -> Mes
     triangles = faces
     while len(triangles) > most_faces:
         _, index, inverse = np.unique(
-            np.round(vertices / cell), axis=0, return_index=True, return_inverse=True
+            # A vertex of the mesh stands for its cell: the middle would move edges off the surface.
+            np.round(vertices / cell),
+            axis=0,
+            return_index=True,
+            return_inverse=True,
         )
         kept = vertices[index]
+        # Always from the original, so that errors of the coarser grids do not add up.
         triangles = inverse.ravel()[faces]
         a, b, c = triangles.T
+        # Triangles that shrink to a line are not seen, and cost the rasterizer time.
         triangles = np.unique(triangles[(a != b) & (b != c) & (a != c)], axis=0)
+        # By a quarter: doubling would overshoot the number of faces far.
         cell *= 1.25
     return Mesh(kept.astype(np.float32), triangles.astype(np.int32))
 
@@ -68,6 +75,7 @@ def _solid(geom: Geom) -> trimesh.Trimesh:
     if geom.shape == "box":
         return trimesh.creation.box(2.0 * np.array(geom.size))
     if geom.shape == "cylinder":
+        # As many sides as the prism that collides (`model.PRISM_SIDES`).
         return trimesh.creation.cylinder(radius, 2.0 * half, sections=24)
     if geom.shape == "capsule":
         return trimesh.creation.capsule(2.0 * half, radius, count=[12, 12])

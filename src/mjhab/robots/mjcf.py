@@ -96,6 +96,7 @@ class MjcfLinks:
         model = self._model
         top = model.body(self.root).id
         inside = {top}
+        # MuJoCo numbers parents before children.
         for body in range(top + 1, model.nbody):
             if model.body_parentid[body] in inside:
                 inside.add(body)
@@ -136,11 +137,13 @@ class MjcfLinks:
             return TreeLink(link, parent, "", origin)
         model = self._model
         name = model.joint(first).name
+        # Chains have one joint per link, in the origin of its frame.
         if count > 1 or np.abs(model.jnt_pos[first]).max() > 0:
             raise MjhabError(f"link {link!r} must have one joint, at its origin")
         axis = self._turn @ self._data.xaxis[first]
         if np.abs(np.abs(axis).max() - 1.0) > AXIS_TOLERANCE:
             raise MjhabError(f"joint {name!r} is not along x, y or z at its zero: {axis}")
+        # Positions count from the posture in which the frames are parallel.
         low, high = model.jnt_range[first] - self._zero.get(name, 0.0)
         if name in self._flipped:
             axis = -axis
@@ -163,6 +166,7 @@ class MjcfLinks:
                 continue
             rot = self.rot(link)
             axes = rot @ mat_from_quat(np.array(body.iquat))
+            # The file has the principal moments, in axes of their own.
             full = axes @ np.diag(body.inertia) @ axes.T
             rows = [
                 full[0, 0],
@@ -172,6 +176,7 @@ class MjcfLinks:
                 full[0, 2],
                 full[1, 2],
             ]
+            # Rounded as lengths are, so that the hash of the robot is the same on every processor.
             xx, yy, zz, xy, xz, yz = (float(x) for x in np.round(rows, 7))
             found[link] = Inertial(mass, _vec3(rot @ body.ipos), (xx, yy, zz, xy, xz, yz))
         return found
@@ -201,7 +206,11 @@ def boxes_around(mesh: MeshGeom, pieces: int) -> tuple[Geom, ...]:
     """
     loaded = trimesh.load_mesh(mesh.file)
     vertices, *_ = trimesh.remesh.subdivide_to_size(
-        loaded.vertices, loaded.faces, SURFACE_STEP_M, max_iter=12
+        # Long triangles have no vertices in the middle slices, whose boxes would be too small.
+        loaded.vertices,
+        loaded.faces,
+        SURFACE_STEP_M,
+        max_iter=12,
     )
     points = vertices @ mesh.rot.T + mesh.pos
     low = points.min(axis=0)
@@ -211,10 +220,12 @@ def boxes_around(mesh: MeshGeom, pieces: int) -> tuple[Geom, ...]:
     boxes = []
     for start, end in pairwise(cuts):
         inside = points[
+            # Rounding must not take the vertices at a cut out of both slices.
             (points[:, long] >= start - 1e-9) & (points[:, long] <= end + 1e-9)
         ]
         least = inside.min(axis=0)
         most = inside.max(axis=0)
+        # Up to the cut, so that no gap is left between two boxes.
         least[long] = start
         most[long] = end
         half = _vec3(0.5 * (most - least))
@@ -229,6 +240,7 @@ def _without_meshes(file: Path) -> mujoco.MjModel:
         spec.delete(geom)
     for mesh in list(spec.meshes):
         spec.delete(mesh)
+    # Without geoms some bodies have no mass, which MuJoCo refuses to compile.
     spec.compiler.boundmass = 1e-9
     spec.compiler.boundinertia = 1e-9
     try:
@@ -238,5 +250,6 @@ def _without_meshes(file: Path) -> mujoco.MjModel:
 
 
 def _vec3(values: np.ndarray) -> Vec3:
+    # Adding 0 turns -0.0 into 0.0, which has another text and so another hash.
     x, y, z = (float(value) + 0.0 for value in np.round(values, ROUND_DIGITS))
     return (x, y, z)

@@ -147,6 +147,7 @@ class Robot:
     materials: Mapping[str, Material] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        # Checked further below, with messages that name the group or camera.
         apart = ("groups", "cameras", "stiff_gains")
         take_types(self, apart, f"robot {shown(self.name)}")
         self._take_groups()
@@ -161,6 +162,7 @@ class Robot:
             where=f"robot {self.name!r}",
         )
         check(
+            # Code that is no part of a robot takes the base from the first three columns.
             self.joints[BASE] == self.group("base")
             and len(self.group("base")) == BASE.stop,
             "joints",
@@ -210,6 +212,7 @@ class Robot:
         for name in ("stiff_gains", "gripper", "footprint", "reach", "limits"):
             parts[name] = getattr(self, name)
         for name, part in parts.items():
+            # Here and not in their classes, where the message could not name the robot.
             check_record(part, f"robot {self.name!r}: {name}")
         owner = f"robot {self.name!r}"
         for name, material in self.materials.items():
@@ -369,6 +372,7 @@ class Robot:
     def endless(self) -> tuple[bool, ...]:
         """For every joint whether it turns without limits: its angle grows with every turn; False for the base."""
         return tuple(
+            # The base turns without limits, too, and its yaw is an orientation and no joint angle.
             column >= BASE.stop and not np.isfinite(low)
             for column, (low, _) in enumerate(self.joint_limits)
         )
@@ -450,6 +454,7 @@ class Robot:
     def rest(self) -> np.ndarray:
         """(J,) joint positions at rest [m, rad], read-only."""
         rest = np.array(self.rest_qpos, dtype=np.float64)
+        # It is cached, and everybody gets the same array.
         rest.flags.writeable = False
         return rest
 
@@ -458,6 +463,7 @@ class Robot:
         """Rest position of the tcp in success tests, in the frame of ``base_link`` [m]."""
         if self.ee_rest_pos is not None:
             return self.ee_rest_pos
+        # A robot that the original does not have: success means that the hand is back where it is at rest.
         x, y, z = self.chain.tip_pose(self.rest)[0][0]
         return (float(x), float(y), float(z) - self.base_height)
 
@@ -510,6 +516,7 @@ class Robot:
         body = self.body
         facts = (
             self.joints,
+            # Sorted: the order of a mapping says nothing about the robot.
             sorted(self.groups.items()),
             self.base_link,
             self.base_height,
@@ -523,6 +530,7 @@ class Robot:
             self.rest_qpos,
             body.tree,
             sorted(body.inertials.items()),
+            # Not sorted: the order of the shapes is that of the model's geoms.
             list(body.collision.items()),
         )
         return hashlib.sha256(repr(facts).encode()).digest()

@@ -71,6 +71,7 @@ class ArmController:
 
     def reset(self, mask: Array, q: Array) -> None:
         """Set the targets of the worlds of ``mask`` (W,) bool to the measured positions ``q`` (W, A) [rad]."""
+        # A new array: that of the last step may still be held by whoever recorded it.
         self.target = namespace(mask).where(mask[:, None], q, self.target)
 
     def get_state(self, world: int) -> dict[str, np.ndarray]:
@@ -91,6 +92,7 @@ def with_row(target: Array, world: int, state: dict[str, np.ndarray], key: str) 
     Raises:
         UsageError: the state lacks the key, or its array has another shape.
     """
+    # A state of another mode would be spread over the row, or have no key.
     if key not in state or np.shape(state[key]) != target.shape[1:]:
         got = {name: np.shape(value) for name, value in state.items()}
         raise wrong_value(
@@ -133,6 +135,7 @@ class JointTargetDelta(CommandedArm):
         super().__init__(request, _delta_rows(request, "joint, from previous target"))
 
     def command(self, move: Array, q: Array) -> Array:
+        # Without the clip the target runs away while the arm is at its limit, and the way back takes as long.
         self.target = between(self.target + move, self.low, self.high)
         return self.target
 

@@ -139,11 +139,13 @@ class Controller:
         # All joints commanded as measured position + change are computed in one sum: by default arm, head and torso.
         sums = not isinstance(self._arm, CommandedArm)
         robot = self.robot
+        # Modes with commands of their own set the arm's columns afterwards.
         moved = (
             dict(zip(robot.arm_columns, range(self.gripper), strict=True)) if sums else {}
         )
         if not self._stiff_body:
             moved |= dict(zip(robot.body_columns, range(start, self._base), strict=True))
+        # Index arrays once: on a device every list of columns would be a transfer.
         self._moved = as_like(list(moved), like, whole)
         self._deltas = as_like(list(moved.values()), like, whole)
         parts = (robot.arm_columns, robot.body_columns, robot.finger_columns)
@@ -162,6 +164,7 @@ class Controller:
             namespace(like).bool,
         )
         self._free = free
+        # An absolute target of 0 would not be "stay", so that stationary joints keep where they were.
         self._held_body = ~free[self._body]
         self._body_target = zeros((len(like), len(robot.body_columns)), like)
 
@@ -177,7 +180,9 @@ class Controller:
         xp = namespace(actions)
         a = xp.minimum(xp.maximum(actions, self._low), self._high)
         if self._zeroed:
+            # Zero is "stay" for changes and speeds; where entries are absolute, `_body_target` holds instead.
             a = xp.where(self._free, a, 0.0)
+        # All columns are written below.
         out = empty((len(a), len(self.robot.joints)), robot_q)
         out[:, self._moved] = (
             robot_q[:, self._moved] + self.limits.joint_delta * a[:, self._deltas]
@@ -186,6 +191,7 @@ class Controller:
             arm_q = robot_q[:, self._arm_columns]
             aim = self._arm.command(a[:, : self.gripper] * self._arm_units, arm_q)
             if self.shortest and self._arm.absolute:
+                # Absolute angles are told within half a turn: without this a wrist would unwind whole turns.
                 aim = nearest_turn(aim, arm_q, self._endless)
             out[:, self._arm_columns] = aim
         if self._stiff_body:
@@ -202,6 +208,7 @@ class Controller:
     def _drive(self, out: Array, a: Array, yaw: Array) -> None:
         xp = namespace(yaw)
         speed = self.limits.forward * a[:, self._base]
+        # The heading at the start of the control step holds for all of it, as in ManiSkill.
         cos = xp.cos(yaw)
         sin = xp.sin(yaw)
         out[:, 0] = speed * cos
@@ -223,6 +230,7 @@ class Controller:
         arm_q = q[:, self._arm_columns]
         if self.shortest and self._arm.absolute:
             arm_q = within_half_a_turn(arm_q, self._endless)
+        # In units of actions, as `command` multiplies by them.
         actions[:, : self.gripper] = self._arm.still(arm_q) / self._arm_units
         if self._stiff_body:
             actions[:, self._body] = q[:, self._body_columns]

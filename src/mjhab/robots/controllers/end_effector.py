@@ -66,9 +66,11 @@ class EndEffector(CommandedArm):
         self._own_axes = own_axes
         self._as_maniskill = as_maniskill
         self._turn = request.limits.ee_turn
+        # From the torso on: base and torso follow their own entries of the action.
         self._chain = request.robot.arm_chain
 
     def command(self, move: Array, q: Array) -> Array:
+        # Measured joints may be a little beyond their limits, from where the solver would not return.
         begin = between(self.target if self.remembers else q, self.low, self.high)
         self.target = self._solve(*self._goal(move, begin), begin)
         return self.target
@@ -88,6 +90,7 @@ class EndEffector(CommandedArm):
             return pos + move, rot
         xp = namespace(move)
         length = xp.sqrt(xp.sum(move[:, 3:] ** 2, axis=1, keepdims=True))
+        # By the length, so that the axis of the turn stays as it is.
         limited = move[:, 3:] * (
             self._turn / xp.maximum(length, constant((self._turn,), length))
         )
@@ -97,17 +100,20 @@ class EndEffector(CommandedArm):
             else mat_from_rotation_vector(limited)
         )
         if self._own_axes:
+            # Own axes turn from the right, those of the root from the left.
             return pos + (rot @ move[:, :3, None])[..., 0], rot @ turn
         return pos + move[:, :3], turn @ rot
 
     def _solve(self, pos: Array, rot: Array, q: Array) -> Array:
         xp = namespace(q)
+        # Without a turn in the command the orientation is free, which leaves the arm more room.
         rows = 6 if self._rotates else 3
         for _ in range(ITERATIONS):
             frames = self._chain.forward(q)
             jac = self._chain.jacobian(q, frames)[:, :rows]
             error = pos - frames.pos[:, self._chain.tip_index]
             if self._rotates:
+                # The turn that is left, in the axes of the root, as the Jacobian has it.
                 spin = rotation_vector(
                     rot @ frames.rot[:, self._chain.tip_index].swapaxes(1, 2)
                 )
@@ -115,6 +121,7 @@ class EndEffector(CommandedArm):
                 jac = jac * constant(_WEIGHTS, jac)[:, None]
             bounds = StepBounds(self.low - q, self.high - q, LARGEST_STEP)
             step = limited_step(error, jac, zeros(q.shape, q), bounds, DAMPING)
+            # Rounding may leave a joint just beyond the bound that it was stopped at.
             q = between(q + step, self.low, self.high)
         return q
 

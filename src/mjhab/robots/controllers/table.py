@@ -87,6 +87,7 @@ def speed_rows(
 
 def gripper_row(robot: Robot, limits: ActionLimits) -> ActionEntry:
     """Return the gripper's entry: one position [m] for both fingers."""
+    # One entry for both: the fingers of a parallel gripper mirror each other (mimic joint of ManiSkill).
     finger = robot.group("fingers")[-1]
     return ActionEntry(
         "gripper", finger, *limits.gripper, "m", "joint, absolute, both fingers"

@@ -146,6 +146,7 @@ def _finger(sign: float) -> tuple[Geom, ...]:
         (sign * _FINGER_Y - y, sign * _FINGER_Y + y),
         (-z, z),
     )
+    # Inside the face of the pad, so that the opening stays that of the mesh.
     edge = (end - TIP_RADIUS, sign * (_FINGER_Y - y + TIP_RADIUS), 0.0)
     return box, Geom("capsule", (TIP_RADIUS, z - TIP_RADIUS, 0.0), edge, visual=False)
 

@@ -42,6 +42,7 @@ _PARTS: dict[str, tuple[str, str]] = {
 }
 _MAX_FACES = 5000
 _MAX_FACES_OF = {
+    # Small on every image: more faces would only take time.
     "r_wheel_link": 400,
     "l_wheel_link": 400,
     "estop_link": 300,
@@ -96,6 +97,7 @@ def _mount(link: str) -> tuple[str, np.ndarray, np.ndarray]:
     if link in LINKS:
         return link, np.zeros(3), np.eye(3)
     entry = next(t for t in KINEMATIC_TREE if t.link == link)
+    # Only one step up: no link of Fetch hangs deeper.
     if entry.parent not in LINKS:
         raise MjhabError(f"link {link!r} hangs on {entry.parent!r}, which is not a body")
     return (

@@ -64,6 +64,7 @@ def panda_files() -> PandaFiles:
         robosuite_file("grippers/panda_gripper.xml"),
         "right_gripper",
         turn=arm.rot("right_hand"),
+        # Both fingers then open with growing positions, as everywhere here.
         flipped=("finger_joint2",),
     )
     return PandaFiles(arm, hand)
@@ -93,6 +94,7 @@ def load_body() -> Body:
         **files.hand.inertials(),
         TCP: light,
     }
+    # A frame of the file without mass of its own.
     inertials["eef"] = light
     return Body(tree, inertials, _collision(files))
 

@@ -94,6 +94,7 @@ ROBOT = Robot(
         *(FINGERS_AT_REST_M, FINGERS_AT_REST_M),
     ),
     base_link=BASE_LINK,
+    # As Fetch: no contact with the floor, so that driving adds no force.
     base_height=0.02,
     arm_root=COLUMN,
     tcp=TCP,

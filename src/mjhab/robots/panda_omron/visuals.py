@@ -42,6 +42,7 @@ def robot_meshes() -> list[tuple[str, Mesh, str]]:
     parts: list[tuple[str, Mesh, str]] = []
     for number, material in _OMRON.items():
         file = robosuite_file(f"bases/meshes/omron_mobile_base/omron_{number}.obj")
+        # Merging vertices would be done twice: `coarse_mesh` does it.
         loaded = trimesh.load_mesh(file, process=False)
         vertices = np.asarray(loaded.vertices) + WHEELBASE_POS
         parts.append(

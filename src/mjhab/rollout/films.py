@@ -113,15 +113,18 @@ class FilmSink(Sink[RolloutEnv]):
 
     def on_step(self, env: RolloutEnv, step: StepView) -> None:
         """Shoot every ``every``-th step of the filmed worlds."""
+        # By the step of the episode, so that a film does not depend on when the world was reset.
         due = [w for w in self._films if step.steps[w] % self._every == 0]
         self._shoot(env, due, step.info)
 
     def on_episode_end(self, env: RolloutEnv, world: int, record: EpisodeRecord) -> None:
         """Finish the film."""
+        # First out of the list, so that `_give_up` does not abort it once more.
         film = self._films.pop(world, None)
         if film is not None:
             try:
                 film.close()
+            # Encoders and renderers are libraries with errors of all kinds; none of them may end an evaluation.
             except Exception as error:
                 self._give_up(error)
 

@@ -15,6 +15,7 @@ class IndicesLeft(Collection[int]):
 
     def __init__(self, episodes: int, done: Collection[int] = ()) -> None:
         self._all = range(episodes)
+        # A resumed run may ask for fewer episodes than were done.
         self._done = frozenset(index for index in done if index in self._all)
 
     def __len__(self) -> int:

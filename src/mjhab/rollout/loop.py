@@ -57,14 +57,17 @@ def rollout(
     _check(episodes, max_steps)
     _check_env(env)
     with ExitStack() as stack:
+        # Closed in the order in which they are given, as a stack calls its last entry first.
         for sink in reversed(sinks):
             stack.callback(sink.close)
         for sink in sinks:
             sink.on_begin(env, episodes)
+        # Ctrl-C inside of a compiled kernel would else come as another error.
         with kernel_interrupts():
             run = _Rollout(env, policy, episodes, seed, sinks, max_steps)
             while run.active.any():
                 run.step()
+        # Episodes finish in any order, which depends on the number of worlds.
         return sorted(run.records, key=lambda record: record.index)
 
 
@@ -82,6 +85,7 @@ def _check(episodes: Collection[int], max_steps: int | None) -> None:
 
 def _check_env(env: RolloutEnv) -> None:
     metadata = getattr(env, "metadata", {})
+    # Environments of others may not say; then they must not reset.
     mode = metadata.get("autoreset_mode", AutoresetMode.DISABLED)
     if mode is not AutoresetMode.DISABLED:
         raise wrong_value(
@@ -118,6 +122,7 @@ class _Rollout:
         self.seed = seed
         self.sinks = sinks
         self.max_steps = np.inf if max_steps is None else max_steps
+        # Not a list: there may be a hundred million.
         self.waiting = iter(episodes)
         self.left = len(episodes)
         self.active = np.zeros(env.num_envs, bool)
@@ -133,6 +138,7 @@ class _Rollout:
         actions = self._checked(self.policy.act(self.obs, self.info))
         faults = self._faults()
         notes = self._notes(actions)
+        # Idle worlds stand still, whatever the policy returned for them.
         actions = np.where(self.active[:, None], actions, np.float32(0.0))
         self.obs, reward, terminated, truncated, self.info = self.env.step(actions)
         self.steps[self.active] += 1
@@ -147,6 +153,7 @@ class _Rollout:
             trace.actors[notes.actors[int(notes.actor[w])]] += 1
             trace.add(int(w), int(self.steps[w]), self.info)
         view = StepView(
+            # Copies: a sink may keep the view beyond the step.
             self.active.copy(),
             self.steps.copy(),
             done,
@@ -194,6 +201,7 @@ class _Rollout:
                 f"policy {self.policy.name!r}",
                 f"must return actions (W, A) for W = {worlds} worlds, got {actions.shape}.",
             )
+        # Of idle worlds nothing is asked.
         bad = self.active[:, None] & ~np.isfinite(actions)
         if bad.any():
             world, column = (int(k) for k in np.argwhere(bad)[0])
@@ -224,6 +232,7 @@ class _Rollout:
 
     def _fill(self) -> None:
         mask = np.zeros(self.env.num_envs, bool)
+        # The last episodes may be fewer than the free worlds.
         mask[np.flatnonzero(~self.active)[: self.left]] = True
         if not mask.any():
             return
@@ -232,6 +241,7 @@ class _Rollout:
         self.obs, self.info = self.env.reset(
             seed=self.seed, options={"episode": indices, "reset_mask": mask}
         )
+        # After the environment, whose info tells which episodes begin.
         self.policy.reset(mask)
         self.active |= mask
         self.steps[mask] = 0
@@ -245,6 +255,7 @@ class _Trace:
     """What is gathered while one episode runs."""
 
     def __init__(self, seed: int, index: int, episode: Mapping[str, Any]) -> None:
+        # An environment that ignores the option would record other episodes under these numbers.
         if episode["index"] != index:
             raise RuntimeError(
                 f"env was asked for episode {index} but reset to episode {episode['index']}."
@@ -264,11 +275,13 @@ class _Trace:
     def add(self, world: int, step: int, info: Mapping[str, Any]) -> None:
         """Read one control step of ``world`` from ``info``."""
         self.force.append(float(info["robot_force"][world]))
+        # Environments of others may have no such entry.
         if "finger_force" in info:
             now = float(info["finger_force"][world])
             self.finger_force = max(now, self.finger_force or 0.0)
         self.events.extend((step, str(name)) for name in info["events"][world])
         self.success_once |= bool(info["success"][world])
+        # Collected, because a reset clears it.
         self.taint |= int(info["taint"][world])
         if info["ended"][world] is not None:
             self.subtasks.append(SubtaskRecord.from_dict(info["ended"][world]))
@@ -300,10 +313,12 @@ class _Trace:
             fail=bool(info["fail"][world]),
             steps=steps,
             completed=len(
+                # A set, since a subtask that was undone may be done again.
                 {subtask.index for subtask in self.subtasks if subtask.success_once}
             ),
             events=tuple(self.events),
             peak_force=round(max(self.force, default=0.0), 3),
+            # Rounded, so that a record is the same text after a round trip through JSON.
             cumulative_force=round(ordered_sum(self.force), 3),
             force=tuple(round(value, 1) for value in self.force),
             taint=tuple(
@@ -320,6 +335,7 @@ class _Trace:
             ),
             skipped_homes=tuple(episode.get("skipped_homes", ())),
             perturbation=plain(episode.get("perturbation", {})),
+            # One actor alone is the policy, whose name the run has.
             actors=dict(self.actors) if len(self.actors) > 1 else {},
         )
 

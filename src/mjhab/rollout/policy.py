@@ -208,6 +208,7 @@ class RandomPolicy:
         if len(self._streams) != len(mask):
             self._streams = [None] * len(mask)
         for w in np.flatnonzero(mask):
+            # Opened in `act`, which knows the episode.
             self._streams[w] = None
 
     def act(self, obs: Any, info: Mapping[str, Any]) -> np.ndarray:
@@ -217,7 +218,11 @@ class RandomPolicy:
             generator = self._streams[w]
             if generator is None:
                 generator = stream(
-                    self._seed, "policy", "random", int((episode or {}).get("index", 0))
+                    # By the episode and not by the world, so that it is the same with any number of worlds.
+                    self._seed,
+                    "policy",
+                    "random",
+                    int((episode or {}).get("index", 0)),
                 )
                 self._streams[w] = generator
             actions[w] = generator.uniform(-1.0, 1.0, self._width)

@@ -165,6 +165,7 @@ class EpisodeRecord(EpisodeId):
         if not self.subtasks:
             found = (step for step, name in self.events if name == "success")
             return min(found, default=self.steps)
+        # A whole task succeeds with its last subtask.
         last = self.subtasks[-1]
         needed = last.steps_to_success
         return self.steps if needed is None else last.start_step + needed
@@ -192,6 +193,7 @@ class EpisodeRecord(EpisodeId):
         if not record.plan:
             raise ValueError("its plan has no subtask")
         for entry in record.subtasks:
+            # Labels of a subtask that is not in the plan would be counted under a wrong name.
             if entry.index >= len(record.plan):
                 raise ValueError(
                     f"it has subtask {entry.index} of a plan of {len(record.plan)}"
@@ -268,6 +270,7 @@ def _with_teleport(
     """A subtask as it was written. In older files the sentences alone say what was done by teleport."""
     index = _count("index", entry["index"])
     instruction = instructions[index] if index < len(instructions) else ""
+    # The entry last: what a newer file says itself counts.
     return {"teleported": instruction.endswith(BY_TELEPORT), **entry}
 
 
@@ -277,6 +280,7 @@ def _peak(value: Any) -> float | None:
 
 def _count(name: str, value: Any) -> int:
     """A whole number from 0 that was read from a file; numpy scalars become ints."""
+    # JSON's true would pass for 1.
     whole = isinstance(value, Integral) and not isinstance(value, bool)
     if not whole or not 0 <= int(value) <= MAX_COUNT:
         raise ValueError(
@@ -325,6 +329,7 @@ def _sentence(text: Any) -> str:
             f"an instruction or an error is a text of at most {MAX_INSTRUCTION_CHARACTERS} characters, "
             f"not {str(text)[:60]!r}."
         )
+    # A line break or a control character would break tables, and steer terminals.
     if text and not text.isprintable():
         raise ValueError(
             f"an instruction or an error is one line of printable text, not {text[:60]!r}."
@@ -342,6 +347,7 @@ def _check_names(record: EpisodeRecord) -> None:
         check_name("kind of a subtask", entry.kind)
         target = entry.target
         if isinstance(target, str):
+            # It has spaces, which names have not.
             target = target.removeprefix(GOAL_OF)
         check_name("target of a subtask", target, empty=True)
     for entry in record.subtasks:

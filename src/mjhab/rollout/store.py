@@ -54,8 +54,10 @@ class EvaluationFolder(RunFolder):
 
     def _delete_own(self) -> None:
         films = self.path / FILMS
+        # Also what an encoder left unfinished.
         for film in (*films.glob("episode_*.mp4*"), *films.glob(".episode_*.part.mp4")):
             film.unlink()
+        # Films of others stay.
         if films.is_dir() and not any(films.iterdir()):
             films.rmdir()
         for name in self.OWN - {FILMS}:
@@ -74,7 +76,9 @@ class EvaluationFolder(RunFolder):
         """Append a record to episodes.jsonl, with the hash of the config, and flush it to the system."""
         record = dataclasses.replace(record, config_hash=self._hash)
         path = self.path / EPISODES_FILE
+        # One write per record: a crash tears the last line at most.
         line = json.dumps(record.to_dict(), separators=(",", ":")) + "\n"
+        # Opened for each record, so that it is flushed and no handle stays open over hours.
         with naming_file(path), path.open("a", encoding="utf-8") as file:
             file.write(line)
         self._records[record.index] = record
@@ -132,6 +136,7 @@ def read_records(folder: Path) -> list[EpisodeRecord]:
     """
     path = folder / EPISODES_FILE
     kept, _ = _read_file(path)
+    # Older folders have none in any record, and are read without a comparison.
     hashed = any(record.config_hash for record in kept)
     _check_records(kept, _stored_hash(folder / CONFIG) if hashed else "", path)
     return kept
@@ -142,8 +147,10 @@ def config_hash(config: Mapping[str, Any]) -> str:
     fixed = {
         key: value
         for key, value in config.items()
+        # None is left out, so that an option which a later version adds does not change the name.
         if key not in EvaluationFolder.FREE_KEYS and value is not None
     }
+    # Sorted: the order of options means nothing.
     text = json.dumps(fixed, sort_keys=True, separators=(",", ":"))
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
@@ -198,6 +205,7 @@ def _read_file(path: Path) -> tuple[list[EpisodeRecord], int]:
     end = 0
     for number, line in enumerate(whole.splitlines(keepends=True), 1):
         try:
+            # The last write of a process that was killed.
             if not line.endswith(b"\n"):
                 raise ValueError("the line is not finished")
             record = EpisodeRecord.from_dict(parse_json(line))
@@ -208,6 +216,7 @@ def _read_file(path: Path) -> tuple[list[EpisodeRecord], int]:
                     f"line {number} of {path}",
                     f"is damaged ({said}). Start the run again with --overwrite.",
                 ) from error
+            # Nothing can follow: a torn line is the last one.
             break
         kept.append(record)
         end += len(line)

@@ -10,6 +10,8 @@ from mjhab.core.libraries import check_imports, missing_libraries, require_libra
 if TYPE_CHECKING:
     from mjhab.layout.layout import Layout
     from mjhab.robots.parts import Drives
+
+    # Here, because warp takes seconds to load and mujoco is not needed for it.
     from mjhab.sim.mujoco.cpu import CpuSimulator
     from mjhab.sim.warp.simulator import WarpSimulator
 
@@ -32,10 +34,12 @@ def resolve(name: str) -> str:
     if name not in BACKENDS:
         raise unknown_name("backend", name, BACKENDS)
     missing = missing_libraries(GPU_MODULES)
+    # A missing library is no error here: the processor does as well.
     if name == "auto":
         name = "warp" if not missing and cuda_devices() else "cpu"
     if name == "warp":
         require_libraries("backend 'warp'", GPU_MODULES, "gpu")
+        # Now and not deep inside of the first step: a torch of another CUDA fails with many different errors.
         check_imports(COMPILED_MODULES, "gpu")
     return name
 

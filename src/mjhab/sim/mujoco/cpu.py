@@ -70,6 +70,7 @@ class CpuSimulator:
         drives: Drives | None = None,
     ) -> None:
         check_least("num_worlds", num_worlds, 1)
+        # A global of the library: every simulator sets the same.
         mujoco.set_mju_user_warning(_log_warning)
         self.layout = layout
         self.num_worlds = num_worlds
@@ -79,7 +80,9 @@ class CpuSimulator:
         """Returns the compiled model of a home of the pack, by name."""
         first = self.model(layout.pack.homes[0].name)
         self.addresses = addresses(layout, first)
+        # Any home will do: worlds get their own at their first reset.
         self._world_models = [first] * num_worlds
+        # Persistent, since what sleeps is kept in the data of each world.
         self.batch = Batch(first, num_worlds, self.num_threads, persistent=True)
         self.batch.set_models(self._world_models)
         # Views of the batch's memory, bound once because a field look-up costs more than reading the field.
@@ -111,6 +114,7 @@ class CpuSimulator:
         self._depth_col = int(first.sensor("robot_depth").adr[0])
         self._taint = np.zeros(num_worlds, np.uint8)
         self._broken = np.zeros(num_worlds, bool)
+        # The second column: MuJoCo's first one is what the last warning was about.
         self._warnings = self.batch.warning[:, :, 1]
         """(W, kinds) live number of warnings of each kind since the world's reset."""
         self._warned = np.zeros(self._warnings.shape, self._warnings.dtype)
@@ -125,6 +129,7 @@ class CpuSimulator:
         """Reset worlds to the states ``qpos`` (n, nq) of homes with zero velocity; others stay bitwise the same."""
         self._clear(ids, homes)
         self._qpos[ids] = qpos
+        # Fingers must press from the first substep on, or a held object falls.
         self._ctrl[ids] = holding_ctrl(
             self._world_models[0], self.layout.robot, np.asarray(qpos)
         )
@@ -134,10 +139,12 @@ class CpuSimulator:
         for world, home in zip(ids, homes, strict=True):
             self._world_models[world] = self.model(home)
         self.batch.set_models(self._world_models)
+        # Without a forward pass: the state that is written afterwards would need another one.
         self.batch.reset(ids=ids, stage=_STAGE_NONE)
 
     def _forward(self, ids: Sequence[int]) -> None:
         self.batch.forward(ids=ids)
+        # The forward pass of a reset may warn as well, and that is no fault of the episode.
         self._warned[ids] = self._nan_warned[ids] = self._warnings[ids]
         self._taint[ids] = 0
 
@@ -146,7 +153,9 @@ class CpuSimulator:
 
         A row of ``qpos`` that is not finite is replaced by the model's ``qpos0``.
         """
+        # A reset would clear it, and the episode would pass for sound.
         taint = self._taint[ids]
+        # What is to be restored may be broken itself.
         sound = np.asarray(np.isfinite(qpos).all(axis=1))
         default = np.stack([self.model(home).qpos0 for home in homes])
         self.reset(ids, homes, np.where(sound[:, None], qpos, default))
@@ -161,12 +170,14 @@ class CpuSimulator:
 
         The robot, and every object whose pose changes, get zero velocity.
         """
+        # Objects that stay keep their velocity and their sleep.
         changed = np.flatnonzero(self._qpos[world] != qpos)
         self._qpos[world] = qpos
         self._qvel[world, self.addresses.robot_v] = 0.0
         for start, dof in zip(
             self.addresses.object_q, self.addresses.object_v, strict=True
         ):
+            # A free joint has 7 numbers in qpos.
             if np.any((changed >= start) & (changed < start + 7)):
                 self._qvel[world, dof : dof + 6] = 0.0
         self.batch.forward(ids=[world])
@@ -278,6 +289,7 @@ class CpuSimulator:
         force = np.zeros((*pressed.shape, touch.shape[1], 3))
         if not may_hold(pressed):
             return force, np.zeros(touch.shape, bool)
+        # Pairs that may touch; which of them do, the contacts' positions tell.
         contact = pressed[:, :, None] & touch[:, None]
         world, link, target = contact.nonzero()
         listed = self._read(world, self._hand_starts[link], self._force_block)
@@ -307,8 +319,10 @@ class CpuSimulator:
         warnings = self._warnings
         least = -PENETRATION_LIMIT
         seen = (warnings, self._warned, self._qpos)
+        # Compiled and first: almost all steps end here.
         if is_sound(self._sensors, self._depth_col, least, *seen):
             return
+        # An empty sensor holds 0, which is above the limit.
         deep = self._sensors[:, self._depth_col] < least
         self._taint |= deep.astype(np.uint8) << TAINTS.index("penetration")
         finite = np.isfinite(self._qpos).all(axis=1)
@@ -319,8 +333,11 @@ class CpuSimulator:
             hit = rose[:, [int(k) for k in kinds]].any(axis=1)
             self._taint |= hit.astype(np.uint8) << TAINTS.index(name)
         nan_kinds = [int(k) for k in _TAINT_WARNINGS["nan"]]
+        # Against the last step: taint keeps a warning, while broken is about this step alone.
         again = (warnings > self._nan_warned)[:, nan_kinds].any(axis=1)
+        # The batch counts on in the same memory.
         self._nan_warned = warnings.copy()
+        # MuJoCo resets a world with NaN by itself, so that its positions alone may look sound.
         self._broken = again | ~finite
         self._taint |= self._broken.astype(np.uint8) << TAINTS.index("nan")
 
@@ -337,6 +354,7 @@ def _rows(starts: np.ndarray, width: int) -> slice:
     """
     if not len(starts):
         return slice(0, 0)
+    # A slice would silently read other columns.
     if (np.diff(starts) != width).any():
         raise ValueError(
             f"blocks of {width} columns do not adjoin: they start at {starts.tolist()}"

@@ -80,6 +80,7 @@ class _World:
         model.qpos0[columns] = qpos[columns]
         if carried >= 0:
             own = slice(int(a.object_q[carried]), int(a.object_q[carried]) + 7)
+            # The model is kept and may have been changed by an earlier test.
             model.qpos0[own] = self._sim.model(home).qpos0[own]
         model.opt.disableflags |= _NO_CONTACT
         mujoco.mj_resetData(model, self.data)
@@ -88,8 +89,10 @@ class _World:
         return model
 
     def _make(self, home: str, plain: bool) -> mujoco.MjModel:
+        # A copy: the simulator's worlds share that of the home.
         model = copy.copy(self._sim.model(home))
         if plain:
+            # Grasps are tested with the servos of the robot, whatever control mode the environment has.
             apply_drives(model, self._sim.layout.robot, Drives())
         a = self._sim.addresses
         trees = model.body_treeid[
@@ -124,12 +127,14 @@ class Scratch:
     @contextmanager
     def _world(self) -> Iterator[_World]:
         try:
+            # Popping from a list is atomic, so that threads need no lock.
             world = self._idle.pop()
         except IndexError:
             world = _World(self.sim)
         try:
             yield world
         finally:
+            # Back also after an error: the next test resets it anyway.
             self._idle.append(world)
 
     def tcp_pose(self, home: str, qpos: np.ndarray) -> np.ndarray:
@@ -161,11 +166,13 @@ class Scratch:
         with self._world() as world:
             model = world.arrange(home, qpos, carried)
             data = world.data
+            # Positions and contacts alone: velocities and forces play no part in a collision.
             mujoco.mj_fwdPosition(model, data)
             if self._collides(data, carried):
                 return False
             hold_robot(model, data)
             if carried >= 0:
+                # Holding their position, the fingers would not press and the object would slip.
                 data.ctrl[self._fingers] = self._closed
             mujoco.mj_step(model, data, SUBSTEPS)
             if self._collides(data, carried):
@@ -194,6 +201,7 @@ class Scratch:
             robot: (J,) joint positions [m, rad].
             tcp_in_object: (7,) pose of the tcp in the frame of the object [m, wxyz].
         """
+        # The home does not matter: the test happens away from its furniture.
         home = self.sim.layout.pack.homes[0].name
         a = self.sim.addresses
         qpos = self.sim.model(home).qpos0.copy()
@@ -236,6 +244,7 @@ class Scratch:
             data = world.data
             hold_robot(model, data)
             data.ctrl[self._fingers] = self._closed
+            # Before the slip is measured: the object moves while the fingers close.
             mujoco.mj_step(model, data, CLOSING_STEPS)
             closed = self._load_pose(model, data, start)
             for _ in range(round(seconds / (SUBSTEPS * model.opt.timestep))):
@@ -246,6 +255,7 @@ class Scratch:
             relative = self._load_pose(model, data, start)
             if np.linalg.norm(relative[:3] - closed[:3]) > MOST_CREEP_M_S * seconds:
                 return None
+            # To both sides, so that the base ends where it began and both edges are tried.
             for rate in (TURN_RATE, -TURN_RATE):
                 data.ctrl[BASE_YAW] = rate
                 mujoco.mj_step(model, data, TURN_STEPS)
@@ -260,6 +270,7 @@ class Scratch:
         self, model: mujoco.MjModel, data: mujoco.MjData, start: int
     ) -> np.ndarray:
         """Return the pose (7,) in the tcp frame of the object whose qpos begins at column ``start``."""
+        # After a step the poses are those of before its integration.
         mujoco.mj_kinematics(model, data)
         return pose_mul(pose_inv(self._read_tcp(data)), data.qpos[start : start + 7])
 
@@ -278,6 +289,7 @@ class Scratch:
             opening = data.xmat[a.robot_body[finger.link]].reshape(3, 3) @ np.array(
                 finger.opens
             )
+            # Multiplied and not divided, for a finger without force.
             if size < min_force or force @ opening < np.cos(max_angle) * size:
                 return False
         return True

@@ -36,6 +36,7 @@ def settle(
     """
     data = mujoco.MjData(model)
     data.qpos[:] = qpos
+    # Away, so that no object comes to rest against it.
     data.qpos[a.robot_q] = parked_robot_qpos(a.robot)
     # With ctrl 0 the position servos would drive every joint to 0.
     hold_robot(model, data)
@@ -46,6 +47,7 @@ def settle(
         if len(a.object_v)
         else 0.0
     )
+    # A view would keep all of MuJoCo's data alive.
     return data.qpos.copy(), float(speed)
 
 
@@ -57,8 +59,12 @@ def holding_ctrl(model: mujoco.MjModel, robot: Robot, qpos: np.ndarray) -> np.nd
     """
     joints = model.actuator_trnid[:, 0]
     out = np.where(
-        model.actuator_biasprm[:, 1] != 0.0, qpos[:, model.jnt_qposadr[joints]], 0.0
+        # A servo with stiffness takes a position, one without a speed.
+        model.actuator_biasprm[:, 1] != 0.0,
+        qpos[:, model.jnt_qposadr[joints]],
+        0.0,
     )
+    # Actuators have the order of the joints, so that columns of one are those of the other.
     out[:, list(robot.finger_columns)] = robot.limits.gripper[0]
     return out
 

@@ -32,6 +32,7 @@ class BuildProgress:
         self._clock = clock
         self.count = 0
         self.seconds = 0.0
+        # So that the first module is told at once.
         self._last_line = -LINE_EVERY
 
     def watch(
@@ -51,6 +52,7 @@ class BuildProgress:
                 return compiler(*args, **kwargs)
             finally:
                 self.seconds += self._clock() - begun
+                # Only a terminal can take a line back.
                 if sys.stderr.isatty():
                     print("\r\033[K", end="", file=sys.stderr, flush=True)
 
@@ -77,6 +79,7 @@ def announce_builds() -> BuildProgress:
     Returns:
         The counter of compiled modules, the same object for every call.
     """
+    # Warp's own lines would stand between ours.
     wp.config.log_level = wp.LOG_WARNING
     progress = BuildProgress()
     # Warp itself reports a module only after compiling it. Cached modules do not call these two functions.

@@ -43,6 +43,7 @@ def open_device(name: str) -> wp.Device:
     if name and name not in names:
         raise unknown_name("device", name, names)
     device = wp.get_device(name or "cuda:0")
+    # Resets and the solver are conditional parts of captured graphs.
     if device.is_cuda and not wp.is_conditional_graph_supported():
         raise UsageError(
             f"backend 'warp' needs a Warp that was built with CUDA {_version(LEAST_DRIVER)} or newer; "
@@ -91,6 +92,7 @@ def torch_stream(device: wp.Device) -> wp.Stream:
     """
     stream = torch.cuda.current_stream(device.ordinal)
     key = (device.ordinal, stream.cuda_stream)
+    # Each wrapping registers the stream with Warp once more.
     if key not in _STREAMS:
         _STREAMS[key] = wp.stream_from_torch(stream)
     return _STREAMS[key]
@@ -99,6 +101,7 @@ def torch_stream(device: wp.Device) -> wp.Stream:
 @contextmanager
 def set_up(device: wp.Device) -> Iterator[None]:
     """Context for work on Warp's own stream: waits for the device before and after it, so that torch is in order."""
+    # Work on two streams has no order of its own.
     wp.synchronize_device(device)
     with wp.ScopedDevice(device):
         yield

@@ -64,7 +64,9 @@ class Engine:
         model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_SENSOR
         with set_up(device):
             self.model = mjw.put_model(
-                model, batch_sizes=dict.fromkeys(HOME_FIELDS, num_worlds)
+                # Room for one row per world: replacing arrays later would invalidate captured graphs.
+                model,
+                batch_sizes=dict.fromkeys(HOME_FIELDS, num_worlds),
             )
             self.data = mjw.make_data(
                 model,
@@ -124,6 +126,7 @@ class Engine:
 
     def _map_bodies(self, model: mujoco.MjModel, a: Addresses) -> None:
         def numbered(bodies: list[int]) -> wp.array:
+            # A table over bodies makes the look-up of a contact one read.
             table = np.full(model.nbody, -1, np.int32)
             table[bodies] = np.arange(len(bodies))
             return wp.array(table, dtype=wp.int32)
@@ -135,6 +138,7 @@ class Engine:
         self._is_end_effector = wp.array(
             np.isin(np.arange(model.nbody), end_effector), dtype=wp.bool
         )
+        # By the root: all links of the robot, also those without a column.
         self._is_robot = wp.array(model.body_rootid == self._tcp_root, dtype=wp.bool)
 
     def _map_trees(self, model: mujoco.MjModel, a: Addresses) -> None:
@@ -149,6 +153,7 @@ class Engine:
 
     def _tensors(self) -> None:
         data = self.data
+        # Bound once: the memory stays where it is, as captured graphs need it.
         self.qpos_t = wp.to_torch(data.qpos)
         self.qvel_t = wp.to_torch(data.qvel)
         self.ctrl_t = wp.to_torch(data.ctrl)
@@ -189,6 +194,7 @@ class Engine:
         self.homes.put(worlds, rows)
         for zeroed in (self.qvel_t, self.ctrl_t, self.warmstart_t, self.time_t):
             zeroed[worlds] = 0.0
+        # Not -1, with which the engine would put the tree to sleep again at once.
         self.asleep_t[worlds] = torch.where(rings < 0, AWAKE, rings).to(
             self.asleep_t.dtype
         )
@@ -202,6 +208,7 @@ class Engine:
         data = self.data
         self.pairs_peak.zero_()
         self.broken.zero_()
+        # To come back to if the step makes NaN.
         wp.copy(self._qpos_before, data.qpos)
         wp.copy(self._slept, data.tree_asleep)
         for _ in range(SUBSTEPS):
@@ -276,6 +283,7 @@ class Engine:
         self._if_due(self._renew)
 
     def _mend_due(self) -> None:
+        # A copy, since the refresh must not change what the step has found.
         wp.copy(self.update, self.broken)
         self._if_due(self._refresh)
 
@@ -304,6 +312,7 @@ class Engine:
         )
         self._move(self.moved)
         self._refresh()
+        # Last: the refresh may set flags that are no fault of the new episode.
         flags = [data.overflow, self.taint, self.broken]
         wp.launch(
             kernels.clear_flags, dim=self.num_worlds, inputs=[self.fresh], outputs=flags
@@ -319,6 +328,7 @@ class Engine:
         self.update_t.zero_()
         self.update_t[worlds] = True
         with wp.ScopedDevice(self.device):
+            # Two graphs, because a captured one cannot choose.
             if teleport:
                 self.graphs.run("teleport", self._teleport)
             else:

@@ -43,6 +43,7 @@ class Graphs:
 
     def _first_run(self, work: Callable[[], None]) -> Any:
         """Run the work once, then capture it; return the graph. Waits for the device."""
+        # A stream of its own, since the default stream cannot be captured.
         with set_up(self.device), wp.ScopedStream(self._stream), self._arena.lending():
             # The first call loads kernels, which is not allowed in a capture, and is the requested run: a capture
             # executes nothing.
@@ -95,14 +96,17 @@ class _Arena:
         Raises:
             RuntimeError: a capture needs a block that the first run of the work did not allocate.
         """
+        # By exact size: work that repeats asks for the same sizes.
         free = self._free.setdefault(size_in_bytes, [])
         if not free:
             if self._closed:
                 raise RuntimeError(
                     f"work that is captured takes {size_in_bytes} bytes that its first run did not take"
                 )
+            # The device's own allocator, or this one would call itself.
             with self._allocating(None):
                 block = wp.empty(size_in_bytes, dtype=wp.uint8, device=self._device)  # type: ignore[arg-type]
+            # The array owns the memory: without a reference it would be freed.
             self._kept.append(block)
             free.append(int(block.ptr or 0))
         return free.pop()

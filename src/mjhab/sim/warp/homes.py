@@ -52,7 +52,10 @@ class HomeTables:
         self.rows = wp.to_torch(self._rows)
         self._tables = {
             name: torch.zeros(
-                (capacity, *view.shape[1:]), dtype=view.dtype, device=view.device
+                # All rows at once: a table that grows would move, and captured graphs hold its address.
+                (capacity, *view.shape[1:]),
+                dtype=view.dtype,
+                device=view.device,
             )
             for name, view in views.items()
         }
@@ -76,6 +79,7 @@ class HomeTables:
             ValueError: the model differs from the base model in more than HOME_FIELDS.
         """
         if home not in self._index:
+            # Otherwise a world would silently run with the values of another home.
             self._require_same(home, model)
             row = len(self._index)
             for name, values in _home_values(model).items():
@@ -107,6 +111,7 @@ class HomeTables:
             ours = getattr(self._base, name)
             theirs = getattr(model, name)
             same = np.shape(ours) == np.shape(theirs)
+            # Not exactly: derived fields differ in their last bits between homes.
             if not same or not np.allclose(ours, theirs, rtol=_ROUNDING, atol=_ROUNDING):
                 raise ValueError(
                     f"home {home!r} differs from its layout in {name}, which all worlds of a batch share"
@@ -125,6 +130,7 @@ def _shared_fields(base: mujoco.MjModel) -> list[str]:
 
 def _home_values(model: mujoco.MjModel) -> dict[str, np.ndarray]:
     data = mujoco.MjData(model)
+    # The engine never computes static poses anew, so that C MuJoCo does it once per home.
     mujoco.mj_kinematics(model, data)
     values = {name: np.asarray(getattr(model, name)) for name in HOME_FIELDS}
     return values | {name: np.asarray(getattr(data, name)) for name in STATIC_POSES}

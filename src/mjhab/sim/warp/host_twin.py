@@ -80,4 +80,5 @@ class HostTwin:
 
 def _double(values: Any) -> np.ndarray:
     array = to_numpy(values)
+    # A copy either way, as the device overwrites its arrays in the next step.
     return array.astype(np.float64) if array.dtype.kind == "f" else array.copy()

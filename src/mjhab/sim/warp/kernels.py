@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import warp as wp
 
+# No gradients: their code would double what is compiled.
 wp.set_module_options({"enable_backward": False})
 
 CONSTRAINT_CONTACT = wp.constant(1)
@@ -63,6 +64,7 @@ def normal_force(
     direction of the normal.
     """
     row = efc_address[contact, 0]
+    # No row was made for it, or it did not fit: then it has no force.
     if row < 0 or row >= njmax:
         return wp.vec3(0.0)
     return frame[contact][0] * efc_force[world, row]
@@ -99,6 +101,7 @@ def add_contacts(
     ``depth`` becomes the least contact distance [m] of the robot (negative: penetration).
     """
     contact = wp.tid()
+    # One thread per place in the list; most places are empty.
     if contact >= nacon[0] or (kind[contact] & CONSTRAINT_CONTACT) == 0:
         return
     world = worldid[contact]
@@ -108,9 +111,11 @@ def add_contacts(
     second = geom_bodyid[geom[contact][1]]
     if not (is_robot[first] or is_robot[second]):
         return
+    # Several threads may hold contacts of one world.
     wp.atomic_min(depth, world, dist[contact])
     force = normal_force(contact, world, njmax, frame, efc_address, efc_force)
     if is_robot[first] and target_of[second] >= 0:
+        # Without an atomic operation: all threads write the same value.
         touch[world, target_of[second]] = True
     if is_robot[second] and target_of[first] >= 0:
         touch[world, target_of[first]] = True
@@ -251,6 +256,7 @@ def teleport(
     for tree in range(tree_q.shape[0]):
         moved = wp.bool(False)
         for i in range(tree_q[tree][0], tree_q[tree][0] + tree_q[tree][1]):
+            # Exactly: rows of the present state are copied, and must leave their trees asleep.
             if qpos[world, i] != new_qpos[world, i]:
                 moved = True
                 qpos[world, i] = new_qpos[world, i]
@@ -260,8 +266,10 @@ def teleport(
         if moved:
             # ``tree_asleep`` links the trees that fell asleep together in a cycle.
             sleeper = int(tree)
+            # At most as many as there are trees: a broken ring must not hang the device.
             for _ in range(tree_q.shape[0]):
                 following = tree_asleep[world, sleeper]
+                # An awake tree is in no ring.
                 if following < 0:
                     break
                 tree_asleep[world, sleeper] = awake
@@ -379,5 +387,6 @@ def note_overflow(
     bits = overflow[wp.tid()]
     if peak[0] > naconmax:
         bits = bits | pairs_bit
+    # Most worlds have none, and atomics on one address wait for each other.
     if bits != 0:
         wp.atomic_or(seen, 0, bits)

@@ -47,6 +47,7 @@ class RestFinder:
             (ntree,) int32: -1 for an awake tree; for a sleeping one the next tree of its ring, the cycle of trees that
             sleep and wake together (its own index if it is alone).
         """
+        # By bits: a state that differs at all may differ in what rests.
         key = (home, qpos.tobytes(), qvel.tobytes())
         if key not in self._known:
             self._known[key] = self._ask(model, qpos, qvel)
@@ -58,6 +59,7 @@ class RestFinder:
         self, model: mujoco.MjModel, qpos: np.ndarray, qvel: np.ndarray
     ) -> np.ndarray:
         data = self._data
+        # The warm start of another state would change the solver's last digits.
         mujoco.mj_resetData(model, data)
         data.qpos[:] = qpos
         data.qvel[:] = qvel
@@ -67,10 +69,12 @@ class RestFinder:
             np.asarray(qvel) == 0.0
         )
         still = np.logical_and.reduceat(quiet, model.tree_dofadr)
+        # It is commanded in every step, and MuJoCo lets no tree with actuators sleep.
         still[self._robot_tree] = False
         rings = np.where(still, np.arange(model.ntree), -1).astype(np.int32)
         # Trees of one constraint island sleep together or not at all.
         for island in range(data.nisland):
             trees = np.flatnonzero(data.tree_island[: model.ntree] == island)
+            # Each tree points to the next and the last to the first, as MuJoCo has it.
             rings[trees] = np.roll(trees, -1) if still[trees].all() else -1
         return rings

@@ -25,6 +25,7 @@ try:
     import torch
     import warp as wp
 
+    # Before its first use, which prints a banner.
     wp.config.log_level = wp.LOG_WARNING
     from mjhab.sim.warp.buffers import BufferSizes
     from mjhab.sim.warp.device import open_device, room_for
@@ -79,6 +80,7 @@ class WarpSimulator:
         sizes = sizes or buffer_sizes(
             layout, self.model, self.addresses, num_worlds, self.device
         )
+        # After the measured ones, so that a user need not know all of them.
         sizes = changed_sizes(sizes, buffers or {})
         self._rest = RestFinder(base, self.addresses)
         with room_for(num_worlds, self.device):
@@ -158,6 +160,7 @@ class WarpSimulator:
             homes,
             np.where(np.isfinite(given).all(axis=1, keepdims=True), given, default),
         )
+        # After the reset, which has cleared it.
         self.engine.taint_t[worlds] = taint
 
     def broken(self) -> torch.Tensor:
@@ -242,6 +245,7 @@ class WarpSimulator:
             engine.new_rings_t,
         )
         for buffer, values in zip(buffers, given, strict=True):
+            # Into the engine's own memory, whose addresses the graph holds.
             buffer.copy_(values)
         with room_for(self.num_worlds, self.device):
             engine.renew()
@@ -317,6 +321,7 @@ class WarpSimulator:
 
         A float32 tensor on the device is used without a copy from the host.
         """
+        # Into the engine's own memory, whose address the captured graph holds.
         self.engine.ctrl_t.copy_(torch.as_tensor(ctrl))
         with room_for(self.num_worlds, self.device):
             self.engine.step()

@@ -86,8 +86,10 @@ class BufferUsage:
         """
 
         def shared(worst: int, mean: float) -> int:
+            # The standard error of the mean over the worlds, twice, for demands between 0 and the worst.
             spread = 2.0 * math.sqrt(worst * mean / num_worlds)
             return math.ceil(
+                # One world at its worst and the others at their mean.
                 MARGIN * (worst + (num_worlds - 1) * min(worst, mean + spread))
             )
 
@@ -138,9 +140,11 @@ def buffer_sizes(
     homes = layout.pack.homes
     chosen = [
         homes[i]
+        # Spread over the list, whose neighbours are variants of one plan of a home.
         for i in sorted({round(x) for x in np.linspace(0, len(homes) - 1, STRESS_HOMES)})
     ]
     digest = hashlib.sha256(
+        # With this file, whose rollouts decide the numbers.
         repr((_FORMAT, mjw.__version__)).encode() + Path(__file__).read_bytes()
     )
     for home in chosen:
@@ -199,6 +203,7 @@ def measure_demand(
         ]
     )
     contacts, ccd, rows = needs.T
+    # Both engines: C MuJoCo counts in every step, the device only in some.
     most_rows = max(int(rows.max()), *(run.rows for run in runs))
     return BufferUsage(
         int(contacts.max()),
@@ -214,6 +219,7 @@ def stress(
     layout: Layout, home: Home, model: mujoco.MjModel, a: Addresses, index: int
 ) -> StressRollout:
     """Simulate random commands at full speed near objects on the receptacles of a home; ``index`` seeds the draws."""
+    # A fixed seed: equal layouts get equal buffers.
     rng = stream(0, "warp stress", index)
     data = mujoco.MjData(model)
     data.qpos[:] = settle(model, a, _strew(layout, home, model, a, rng))[0]
@@ -229,6 +235,7 @@ def stress(
     rows = 0
     awake = 0
     for step in range(STRESS_STEPS):
+        # Held for a while, so that the robot gets up speed and runs into things.
         if step % HOLD_STEPS == 0:
             data.ctrl[:] = rng.uniform(low, high)
         mujoco.mj_step(model, data)
@@ -236,6 +243,7 @@ def stress(
         states.append((data.qpos.copy(), data.tree_asleep.copy()))
         rows = max(rows, data.nefc)
         awake = max(awake, data.nv_awake)
+    # Stable, so that ties give the same states on every machine.
     order = np.argsort(counts, kind="stable")[-WORST_STATES:].tolist()
     order += rng.choice(STRESS_STEPS, OTHER_STATES, replace=False).tolist()
     return StressRollout([states[i] for i in order], rows, awake)
@@ -290,6 +298,7 @@ def _stand_free(
             .any(axis=1)
             .sum()
         )
+        # The first of equals, whatever follows.
         if touching < least:
             best = place
             least = touching
@@ -318,6 +327,7 @@ def _measure(
     # The engine does not count pairs in convex collision, but reports when they exceed ``naccdmax``.
     for allowed in _CCD_TRIES:
         data.naccdmax = allowed
+        # The captured graph holds the old size.
         engine.graphs.forget()
         engine.clear(world, row, torch.as_tensor(asleep[None], device=device))
         engine.qpos_t[world] = torch.as_tensor(qpos).to(engine.qpos_t)
@@ -327,4 +337,5 @@ def _measure(
         rows = int(data.nefc.numpy()[0])
         if not int(data.overflow.numpy()[0]) & int(mjw.OverflowType.CCD):
             return contacts, allowed, rows
+    # Even the largest was too small; the margin and the overflow bit remain.
     return contacts, _CCD_TRIES[-1], rows

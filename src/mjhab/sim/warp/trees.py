@@ -17,6 +17,7 @@ def tree_spans(model: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray]:
         low = model.dof_jntid[first]
         high = model.dof_jntid[first + count - 1]
         start = int(model.jnt_qposadr[low])
+        # Up to the next joint: a free joint has one number more in qpos than dofs.
         end = int(model.jnt_qposadr[high + 1]) if high + 1 < model.njnt else model.nq
         spans_q[tree] = start, end - start
     return spans_q, spans_v

@@ -73,6 +73,7 @@ def env_ids() -> dict[str, dict[str, Any]]:
     trained = [
         name for name in SUBTASKS if any(name in TASKS[task].subtasks for task in TASKS)
     ]
+    # A name that is not in the order stands behind it, and the sort keeps the order of registration among those.
     trained.sort(key=lambda name: (*SUBTASK_ID_ORDER, name).index(name))
     trains = {
         f"mjhab/{_title(name)}SubtaskTrain-v1": {"task": task_with(name), "subtask": name}
@@ -168,6 +169,7 @@ def config_by_id(env_id: str, **options: Any) -> EnvConfig:
     known = env_ids()
     if env_id not in known:
         raise unknown_name("environment id", env_id, known)
+    # The ids of subtasks are those of training environments, as in the original.
     config = TrainConfig if "subtask" in known[env_id] else EnvConfig
     return config(**_known({**known[env_id], **options}, config))
 
@@ -180,10 +182,12 @@ def make_single(*, env_id: str, **options: Any) -> SingleEnv:
     """
     from mjhab.envs.single import SingleEnv
 
+    # A TypeError with this very text makes torchrl try again without it.
     if "frameskip" in options:
         raise UnexpectedArgument(NO_FRAMESKIP)
     fixed = {"num_envs": 1, "autoreset": "disabled", "backend": "cpu"}
     for name, value in fixed.items():
+        # None stands for the default everywhere.
         if options.get(name) not in (None, value):
             raise wrong_value(
                 name,
@@ -211,8 +215,10 @@ def register_envs() -> None:
 
     The import of ``mjhab`` calls it after loading plugins. Call it again after registering a subtask or a task.
     """
+    # Before any environment is made: Gymnasium's wrappers look the rules up when they convert.
     keep_what_is_no_number()
     for env_id in env_ids():
+        # Called once more after a plugin has registered something; Gymnasium warns of an id that is there.
         if env_id not in gymnasium.registry:
             gymnasium.register(
                 env_id,

@@ -24,6 +24,7 @@ def keep_what_is_no_number() -> None:
         from gymnasium.wrappers.array_conversion import array_conversion
     except (ImportError, DependencyNotInstalled):
         return
+    # The rule that arrays had: those of numbers keep it.
     of_iterables = array_conversion.dispatch(list)
 
     def unchanged(value: Any, xp: ModuleType, device: Any = None) -> Any:
@@ -34,5 +35,6 @@ def keep_what_is_no_number() -> None:
 
     rules = {str: unchanged, FrozenMap: unchanged, np.ndarray: numbers_only}
     for kind, rule in rules.items():
+        # A rule that the user has registered stays.
         if kind not in array_conversion.registry:
             array_conversion.register(kind, rule)

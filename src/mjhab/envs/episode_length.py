@@ -17,6 +17,7 @@ def longest_episode(config: EnvConfig) -> int:
     """Control steps after which every episode has ended: the horizons of its subtasks together."""
     limits = task_config(config, robot_named(config.robot))
     kinds = (config.subtask,) if config.subtask else TASKS[config.task].kinds
+    # Whole numbers, for which the built-in sum is the same everywhere.
     return sum(limits_of(limits, kind).horizon for kind in kinds)
 
 

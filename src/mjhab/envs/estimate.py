@@ -51,6 +51,7 @@ class WorldMemory:
             "world_mb": round(need.world_mb, 2),
             "base_mb": round(need.base_mb),
             "free_mb": None if free is None else round(free),
+            # Unknown is neither yes nor no.
             "fits": None if most is None else most >= num_envs,
             "most": most,
         }
@@ -81,7 +82,12 @@ def gpu_free_mb() -> float | None:
     command = [tool, "--query-gpu=memory.free", "--format=csv,noheader,nounits", "--id=0"]
     try:
         answer = subprocess.run(
-            command, capture_output=True, text=True, timeout=20, check=True
+            # A driver that hangs must not hang the estimate.
+            command,
+            capture_output=True,
+            text=True,
+            timeout=20,
+            check=True,
         )
         return float(answer.stdout.strip().splitlines()[0])
     except (subprocess.SubprocessError, OSError, ValueError, IndexError):

@@ -20,6 +20,7 @@ class HostSensing(Sensing):
     def felt(self, state: SimState, focus: Focus) -> Felt:
         """See `Sensing.felt`, which defines it."""
         worlds = len(self._rows)
+        # New arrays in every step, because the last ones may still be held by a caller.
         force = np.empty((worlds, 2, 2, 3))
         contact = np.empty((2, worlds), bool)
         tcp_pos = np.empty((worlds, 3))
@@ -46,6 +47,7 @@ class HostSensing(Sensing):
         """See `Sensing.shown_in_base`, which defines it."""
         yaw = base[:, BASE_YAW][:, None]
         half = 0.5 * yaw
+        # By numpy: compiled sine and cosine have other last bits.
         trig = np.array((np.cos(yaw), np.sin(yaw), np.cos(half), np.sin(half)))
         out = np.empty(poses.shape)
         poses_in_base(base, self._base_height, trig, poses, shown, out)

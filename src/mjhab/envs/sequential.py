@@ -60,6 +60,7 @@ class SequentialTaskEnv(TaskLoop, VectorEnv):
     tracker: Tracker
 
     def __init__(self, config: EnvConfig) -> None:
+        # First: a machine that runs out of memory kills the process without a word.
         check_memory(config.num_envs)
         super().__init__(config, np.zeros(0))
         setting = open_setting(config)
@@ -95,6 +96,7 @@ class SequentialTaskEnv(TaskLoop, VectorEnv):
         self.reporter = Reporter(self.num_envs, self.layout, config)
         self._set_spaces(self.observer.single_space, render_modes=["rgb_array"])
         self.episodes_now: list[Episode | None] = [None] * self.num_envs
+        # Some home, until the first reset gives each world its own.
         self.homes = [self.layout.pack.homes[0].name] * self.num_envs
         self.boxes: list[dict] = [{} for _ in range(self.num_envs)]
         self.seeds = np.full(self.num_envs, config.seed, np.int64)
@@ -110,6 +112,7 @@ class SequentialTaskEnv(TaskLoop, VectorEnv):
             own = seeds[world]
             if own is not None:
                 self.seeds[world] = own
+                # Episodes of a seed count from its first, whatever was run before.
                 self.count[world] = 0
 
     def _next_episodes(self) -> np.ndarray:
@@ -126,6 +129,7 @@ class SequentialTaskEnv(TaskLoop, VectorEnv):
         wanted = [(int(self.seeds[w]), int(episodes[w])) for w in worlds]
         made = self.source.episodes(wanted, self.sim.num_threads)
         starts = []
+        # The last one may be in an info that was returned.
         self.fallback = self.fallback.copy()
         for world, episode in zip(worlds, made, strict=True):
             start = self.adopt(world, episode)
@@ -181,6 +185,7 @@ class SequentialTaskEnv(TaskLoop, VectorEnv):
         return changed
 
     def _enter_subtask(self, mask: np.ndarray) -> None:
+        # Before the rewards, which read the way at the start of the subtask.
         self._find_ways(mask)
         super()._enter_subtask(mask)
 
@@ -199,17 +204,20 @@ class SequentialTaskEnv(TaskLoop, VectorEnv):
     def _advance_physics(self, actions: np.ndarray) -> np.ndarray:
         if self.perturber.plan:
             still = self.controller.still(self.state)
+            # Or the fingers would go to the middle of their range, and drop what they hold.
             still[:, self.controller.gripper] = self.grip
             actions = self.perturber.step(actions, still)
         return super()._advance_physics(actions)
 
     def _simulate(self, ctrl: np.ndarray) -> np.ndarray:
+        # To go back to in worlds that become NaN in this step.
         before = self.sim.qpos.copy()
         self.sim.step(ctrl)
         broken = self.sim.broken()
         if may_hold(broken):
             worlds = np.flatnonzero(broken).tolist()
             self.sim.mend(worlds, [self.homes[w] for w in worlds], before[worlds])
+        # The simulator clears its mask in the next step.
         return broken.copy()
 
     def _sensing_class(self) -> type[Sensing]:
@@ -288,6 +296,7 @@ class SequentialTaskEnv(TaskLoop, VectorEnv):
             "rewarder": self.rewarder,
             "pending": self.teleports,
         }
+        # Left out where nothing is perturbed: the bytes of recorded states stay what they were.
         return parts | ({"perturber": self.perturber} if self.perturber.plan else {})
 
     def get_columns(self, world: int) -> dict[str, Any]:
@@ -350,6 +359,7 @@ class SequentialTaskEnv(TaskLoop, VectorEnv):
         batch = self.sim.batch
         return hashlib.sha256(
             batch.qpos[world].tobytes() + batch.qvel[world].tobytes()
+            # 64 bits tell states apart and keep records short.
         ).hexdigest()[:16]
 
 

@@ -76,6 +76,7 @@ class SingleEnv(gymnasium.Env):
     @property
     def worlds(self) -> SequentialTaskEnv:
         """The vector environment of one world, built on first use."""
+        # Spaces are known without a simulator, and some callers ask for nothing else.
         if self._opened is None:
             from mjhab.envs.sequential import SequentialTaskEnv
 
@@ -104,6 +105,7 @@ class SingleEnv(gymnasium.Env):
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict, dict]:
         """Begin an episode; see `SequentialTaskEnv.reset` for the options."""
+        # Gymnasium's own generator begins from the seed, too, for wrappers that draw from it.
         super().reset(seed=seed)
         obs, info = self.worlds.reset(seed=seed, options=options)
         return _first(obs), _first(info)

@@ -21,6 +21,7 @@ SEPARATOR = "/"
 
 def ordered_dict(parts: Mapping[str, spaces.Space]) -> spaces.Dict:
     """A Dict space with the keys in the order given."""
+    # An ordered dict is the one thing whose keys Gymnasium does not sort.
     return spaces.Dict(OrderedDict(parts))
 
 
@@ -97,6 +98,7 @@ def with_entries(space: spaces.Dict, changed: Mapping[str, spaces.Space]) -> spa
     if not isinstance(space, ObservationSpace):
         return ordered_dict(parts)
     fixed = {STATE_KEY, *(path[0] for path in space.columns)}
+    # Columns of the state mean nothing once the state is another one.
     same = all(parts[key] == space[key] for key in fixed)
     return ObservationSpace(parts, space.columns) if same else ordered_dict(parts)
 
@@ -110,6 +112,7 @@ def without(tree: Mapping[str, Any], paths: Collection[Path]) -> dict[str, Any]:
             continue
         if below:
             value = without(value, below)
+            # A dict all of whose entries are gone would be an empty space.
             if not value:
                 continue
         kept[key] = value

@@ -86,12 +86,14 @@ class DeviceEnv(TaskLoop, VectorEnv):
             base=config.base,
             stationary=config.stationary,
         ).drives
+        # One world is enough: it compiles homes and makes starts, and steps nothing.
         host = CpuSimulator(setting.layout, 1, config.threads, drives)
         self.sim = WarpSimulator(
             setting.layout, config.num_envs, config.device, drives, buffers=config.buffers
         )
         self.device: torch.device = self.sim.qpos.device
         with room_for(config.num_envs, self.sim.device):
+            # Inside, because its arrays are the first that take device memory.
             super().__init__(
                 config, torch.zeros(1, dtype=torch.float32, device=self.device)
             )
@@ -103,6 +105,7 @@ class DeviceEnv(TaskLoop, VectorEnv):
                 config.cameras,
                 config.camera_size,
             )
+            # Room for the steps of any subtask, since shapes are constant.
             longest = max(horizons(self.task_config))
             self.tracker = DeviceNotes(
                 self.num_envs, longest, self.device, self.config.teleports
@@ -113,6 +116,7 @@ class DeviceEnv(TaskLoop, VectorEnv):
             self.pool = StartPool(self._source, self.sim, pool_size(config), config.seed)
             self._set_spaces(self.observer.single_space, render_modes=[], tensors=True)
             self.start_row = torch.zeros_like(self._worlds)
+            # Before a reset moves the worlds on: records are of the episodes that ended.
             self._judged_row = self.start_row
             """(W,) index in the pool of each world's start (``start_row``), and of its start in the last step."""
             self.tainted = torch.zeros((), dtype=torch.int64, device=self.device)
@@ -157,6 +161,7 @@ class DeviceEnv(TaskLoop, VectorEnv):
             raise wrong_value(
                 "seed", seed, "one number >= 0 for all worlds of backend 'warp'"
             )
+        # The pool belongs to its seed, and takes long to make.
         if seed != self.pool.seed:
             if not bool(mask.all()):
                 raise wrong_value(
@@ -184,7 +189,9 @@ class DeviceEnv(TaskLoop, VectorEnv):
         try:
             chosen = torch.as_tensor(wanted, device=self.device)
         except (TypeError, ValueError, RuntimeError):
+            # Of no length that fits, so that the check below refuses it.
             chosen = torch.zeros(0)
+        # A float would be cut off silently, and a bool be taken for 0 and 1.
         integral = not (chosen.is_floating_point() or chosen.dtype == torch.bool)
         if (
             chosen.shape != (count,)
@@ -197,6 +204,7 @@ class DeviceEnv(TaskLoop, VectorEnv):
                 f"{count} starts in [0, {self.pool.count}), one per reset world",
                 "Option starts sets how many there are.",
             )
+        # Tensors that were returned are never modified.
         rows = self.start_row.clone()
         rows[mask] = chosen.to(rows.dtype)
         return rows
@@ -222,6 +230,7 @@ class DeviceEnv(TaskLoop, VectorEnv):
                 pool.teleport_poses[row, at],
                 self.focus.columns[:, 1],
             )
+            # A start has its first teleport in it already.
             qpos = torch.where(fresh[:, None], qpos, there)
             self.fallback = self.fallback | (leaping & pool.landing_fallback[row, at])
         self.sim.reset_masked(
@@ -247,15 +256,18 @@ class DeviceEnv(TaskLoop, VectorEnv):
         # Without detach, the engine's buffers would keep the policy's autograd graph, which grows with every step.
         actions = torch.as_tensor(actions, device=self.device).detach()
         need = (self.num_envs, len(self.action_table))
+        # torch would convert them silently.
         if actions.dtype in (torch.bool, torch.complex64, torch.complex128):
             raise wrong_value("actions", actions.dtype, "numbers (float32)")
         check_shape("actions", actions, need)
+        # Counted and set to 0 in place of an error, which would have to wait for the device.
         finite = torch.isfinite(actions)
         self.bad_actions = self.bad_actions + (~finite.all(-1)).sum()
         return torch.where(finite, actions, 0).to(torch.float32)
 
     def _simulate(self, ctrl: Tensor) -> Tensor:
         self.sim.step(ctrl)
+        # A copy, since the next step overwrites the mask.
         broken = self.sim.broken().clone()
         self.sim.mend_broken()
         return broken

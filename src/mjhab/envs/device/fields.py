@@ -47,6 +47,7 @@ class GoalFields:
             (home, round(float(goal[0]), 3), round(float(goal[1]), 3))
             for home, goal in goals
         ]
+        # Backwards, so that the first of equal goals is the one that stays.
         first = {key: n for n, key in reversed(list(enumerate(keys)))}
         different = sorted(first, key=first.__getitem__)
         rows = {key: f for f, key in enumerate(different)}
@@ -58,6 +59,7 @@ class GoalFields:
             (*free[key[0]].origin, free[key[0]].cell, *free[key[0]].blocked.shape)
             for key in different
         ]
+        # A row although there is no goal, so that look-ups have something to read.
         numbers = np.array(places or [(0.0, 0.0, 1.0, 1.0, 1.0)], np.float32)
         self.index = torch.as_tensor(
             np.array([rows[key] for key in keys], np.int64), device=device
@@ -73,11 +75,13 @@ class GoalFields:
 
         0 where the index is -1. Outside the map the distance to the map is added. See `NavDistance.at`.
         """
+        # A world without a goal reads some field, and its result is not used.
         field = torch.clamp(index, min=0)
         cell = self._cell[field]
         last = self._last[field]
         wanted = (xy - self._origin[field]) / cell[:, None] - 0.5
         inside = torch.minimum(torch.clamp(wanted, min=0.0), last)
+        # One before the last cell at most, so that there is a neighbour to interpolate with.
         low = torch.minimum(torch.floor(inside), torch.clamp(last - 1.0, min=0.0))
         high = torch.minimum(low + 1.0, last)
         (u, v) = (inside - low).unbind(1)
@@ -85,6 +89,7 @@ class GoalFields:
         (i, j) = low.long().unbind(1)
         (k, m) = high.long().unbind(1)
         near, far = (
+            # Interpolated before it is scaled: the table holds whole numbers.
             (1 - v) * self._table[field, row, j].to(xy.dtype)
             + v * self._table[field, row, m].to(xy.dtype)
             for row in (i, k)
@@ -101,6 +106,7 @@ def _fields(
     shapes = [free.blocked.shape for free, _ in goals]
     size = tuple(max((shape[axis] for shape in shapes), default=1) for axis in (0, 1))
     needed = 2 * len(goals) * size[0] * size[1]
+    # Said before the fields are computed, which takes minutes.
     if needed > MAX_BYTES:
         raise UsageError(
             f"path lengths to {len(goals)} navigation goals need {needed / 2**30:.1f} GiB of the device, more than "
@@ -110,6 +116,7 @@ def _fields(
     tops = np.ones(max(len(goals), 1), np.float32)
     for f, (free, goal) in enumerate(goals):
         field = free.distances_to(np.asarray(goal, float)[:2])
+        # A home of one cell would divide by 0.
         tops[f] = max(float(field.max()), 1e-3)
         table[f, : field.shape[0], : field.shape[1]] = np.rint(field * (_STEPS / tops[f]))
     return table, tops

@@ -79,9 +79,12 @@ class DeviceNotes:
     ) -> None:
         self._teleports = teleports
         self._history = torch.zeros(
-            (num_worlds, longest + 2), dtype=torch.int16, device=device
+            (num_worlds, longest + 2),
+            dtype=torch.int16,
+            device=device,
         )
         self._weights = (
+            # 12 checks fit into 16 bits: a bool tensor would take six times as much.
             2 ** torch.arange(len(lb.WATCHED), dtype=torch.int16, device=device)
         )[:, None]
         self._start_step = torch.zeros(num_worlds, dtype=torch.int64, device=device)
@@ -103,11 +106,15 @@ class DeviceNotes:
         before = self._labels
         live = ~progress.done
         self._labels = lb.choose(live, lb.add(before, lb.watch(signals)), before)
+        # Beyond its horizon a world is done; clamped, since an index out of range crashes the device.
         column = torch.clamp(progress.subtask_step, max=self._history.shape[1] - 1)[
             :, None
         ]
         bits = torch.where(
-            live, self._pack(self._labels.now), self._history.gather(1, column)[:, 0]
+            # What is there stays, as a scatter writes into all worlds.
+            live,
+            self._pack(self._labels.now),
+            self._history.gather(1, column)[:, 0],
         )
         self._history.scatter_(1, column, bits[:, None])
         kind = torch.where(live, signals.kind, PADDING)
@@ -122,6 +129,7 @@ class DeviceNotes:
             (W,) int64 label of the subtask that ended, an index into the ``labels`` of its `SubtaskSpec`; -1 for none.
         """
         assert self._labels is not None
+        # A copy: the next subtask of the world overwrites it before records are asked for.
         first = self._history[:, 0].clone()
         hold = self._labels.must_hold
         self._ended = _Ended(signals, outcome, progress, first, hold, self._start_step)
@@ -164,9 +172,11 @@ class DeviceNotes:
         steps = progress.subtask_step
         bits = to_numpy(self._history[rows][:, : int(steps.max()) + 1]).copy()
         bits[:, 0] = first
+        # That of the host: labels have one definition.
         tracker = Tracker(len(worlds), self._teleports)
         for t in range(bits.shape[1]):
             row = _row(bits[:, t], hold, signals.kind)
+            # Shorter subtasks are done before the longest one.
             now = dataclasses.replace(progress, episode_step=start + t, done=t > steps)
             if t == 0:
                 tracker.begin(np.ones(len(worlds), bool), row, now)  # type: ignore[arg-type]

@@ -50,6 +50,7 @@ class DeviceObserver(ObservedRows):
             )
         self._sensing = sensing
         self.renderer = None
+        # The renderer takes memory for every world, which state alone does not need.
         if self.outputs:
             from mjhab.render.warp.cameras import WarpCameras
 
@@ -58,6 +59,7 @@ class DeviceObserver(ObservedRows):
                 torch.as_tensor(intrinsic_matrix(self.robot, name, self.size))
                 for name in self.cameras
             ]
+            # On the device and of its dtype once, not in every step.
             self._intrinsic = torch.stack(matrices).to(sim.qpos)
 
     def observe(

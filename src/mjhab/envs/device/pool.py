@@ -34,6 +34,7 @@ PER_WORLD = 4
 
 def pool_size(config: EnvConfig) -> int:
     """Number of starts for a configuration."""
+    # Bounded above because making a start takes time, and below so that few worlds see many of them.
     return config.starts or max(LEAST, min(PER_WORLD * config.num_envs, MOST))
 
 
@@ -145,7 +146,9 @@ class StartPool:
             teleport_poses, fallback = find_teleport_poses(
                 source.starts, episode, start, length
             )
+            # A chain begins with a drive, whose teleport is part of the start.
             if spec_of(start.plan.subtasks[0].kind).navigates:
+                # The start may be in the cache of the source.
                 qpos = qpos.copy()
                 qpos[source.starts.sim.addresses.robot_q] = teleport_poses[0]
         episode = as_perturbed(episode, start)
@@ -154,6 +157,7 @@ class StartPool:
     def _find_fields(
         self, made: list[_Made], device: torch.device
     ) -> tuple[GoalFields | None, torch.Tensor]:
+        # -1 is the mark of no goal, whose length is 0.
         index = torch.full(
             (self.count, self._source.plan_length), -1, dtype=torch.int64, device=device
         )
@@ -163,6 +167,7 @@ class StartPool:
             for s, subtask in enumerate(m.start.plan.subtasks)
             if spec_of(subtask.kind).navigates
         ]
+        # Only dense rewards read path lengths.
         if not where or self._config.reward not in DENSE_MODES:
             return None, index
         goals = [

@@ -48,9 +48,11 @@ def find_teleport_poses(
 def _land(
     starts: StartMaker, episode: Episode, start: Start, position: int
 ) -> tuple[np.ndarray, bool]:
+    # The state that the plan should have led to: the present one is not known when the pool is made.
     qpos = starts.foresee(episode, start.plan, position)
     goal = starts.spawn_goal(start.plan, position, start.boxes)
     key = ("navigate", episode.task, episode.index, position)
+    # A stream per try, as on the host, so that both backends sample the same poses.
     rngs = (stream(episode.seed, *key, attempt) for attempt in range(MAX_TRIES))
     found, _ = starts.sampler.search(episode.home, qpos, goal, rngs)
     missed = found is None
@@ -91,10 +93,12 @@ class Teleporter:
             carried: (W,) int64 slot of the object to carry, -1 for none.
         """
         worlds = torch.arange(len(qpos), device=qpos.device)
+        # -1 would read the last object.
         some = carried.clamp(min=0)
         pressed = state.finger_force[worlds, :, some].square().sum(-1) > 0
         held = (carried >= 0) & pressed.all(-1)
         base = teleport_pose[:, BASE]
+        # With something in the hand the arm stays as it is, or the object would be lost.
         robot = torch.where(held[:, None], state.robot_q, teleport_pose)
         robot = torch.cat([base, robot[:, BASE.stop :]], dim=1)
         along = _turned(state.object_pose, state.robot_q[:, BASE], base)
@@ -124,6 +128,7 @@ def _turned(
         ],
         dim=-1,
     )
+    # Adding zeros spreads the turn over the objects.
     half = 0.5 * turn[:, None] + zero
     spin = torch.stack([torch.cos(half), zero, zero, torch.sin(half)], dim=-1)
     return torch.cat([moved, quat_mul(spin, poses[..., 3:])], dim=-1)

@@ -34,6 +34,7 @@ def intrinsic_matrix(robot: Robot, camera: str, size: tuple[int, int]) -> np.nda
     """(3, 3) float64 pinhole matrix [px] of a camera at (height, width); pixel centres lie at + 0.5."""
     height, width = size
     fovy = robot.camera(camera).fovy
+    # From the height, as MuJoCo's field of view is vertical.
     focal = 0.5 * height / np.tan(0.5 * fovy)
     return np.array(
         [[focal, 0.0, 0.5 * width], [0.0, focal, 0.5 * height], [0.0, 0.0, 1.0]]
@@ -197,12 +198,15 @@ def _millimetres(images: Array, index: int) -> Array:
 
         worlds, _, height, width = images.shape
         found = np.empty((worlds, height, width), np.int16)
+        # Kernels are compiled for contiguous arrays.
         whole = np.ascontiguousarray(images)
         scaled_int16(whole, index, np.float32(DEPTH_SCALE), np.float32(DEPTH_MAX), found)
         return found
     xp = namespace(images)
     mm = images[:, index] * DEPTH_SCALE
+    # Into the same memory: images of many worlds are the largest arrays of a step.
     xp.round(mm, out=mm)
+    # Before the conversion, which would wrap around.
     xp.minimum(mm, constant((float(DEPTH_MAX),), mm), out=mm)
     return xp.astype(mm, xp.int16)
 
@@ -214,6 +218,7 @@ def _intrinsic_cv(views: CameraInputs, index: int) -> Array:
 
 def _extrinsic_cv(views: CameraInputs, index: int) -> Array:
     xp = namespace(views.mat)
+    # The transpose is the inverse of a rotation.
     rot = xp.permute_dims(_turned(views.mat[:, index]), (0, 2, 1))
     move = -xp.einsum("wij,wj->wi", rot, views.pos[:, index])
     return xp.astype(xp.concat([rot, move[..., None]], axis=2), xp.float32)
@@ -249,6 +254,7 @@ def _cloud_xyz(views: CameraInputs) -> Array:
         ]
     )
     to_base = xp.permute_dims(to_base, (2, 0, 1))
+    # At the height of the base link, as poses in the state are.
     origin = xp.concat(
         [views.base[:, BASE_XY], zero[:, None] + views.robot.base_height], axis=1
     )
@@ -256,6 +262,7 @@ def _cloud_xyz(views: CameraInputs) -> Array:
     pos = xp.einsum("wij,wcj->wci", to_base, views.pos - origin[:, None])
     # Points in the camera (x right, y down, z forward) and 1, all 0 where nothing is hit, times a 4x3 matrix.
     seen = empty((*depth.shape, 4), depth)
+    # The middle of a pixel.
     col = count(depth.shape[3], depth) + 0.5
     row = count(depth.shape[2], depth)[:, None] + 0.5
     for k, matrix in enumerate(views.intrinsic):
@@ -266,10 +273,12 @@ def _cloud_xyz(views: CameraInputs) -> Array:
             (row - matrix[1, 2]) / matrix[1, 1], f32
         )
     seen[..., 2] = depth
+    # 0 takes the translation away, so that nothing is where nothing is hit.
     seen[..., 3] = depth > 0.0
     move = xp.concat(
         [xp.permute_dims(_turned(rot), (0, 1, 3, 2)), pos[:, :, None]], axis=2
     )
+    # One matrix product for all pixels: in float32, as the points are told.
     points = xp.reshape(seen, (*depth.shape[:2], -1, 4)) @ xp.astype(move, f32)
     return xp.reshape(points, (len(depth), -1, 3))
 

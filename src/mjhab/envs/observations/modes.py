@@ -64,6 +64,7 @@ def mode_outputs(mode: str) -> tuple[str, ...]:
     Raises:
         UsageError: a part that is no mode.
     """
+    # The usual slip, for which a list of modes would say nothing.
     if "," in mode:
         raise wrong_value(
             "obs_mode",
@@ -75,6 +76,7 @@ def mode_outputs(mode: str) -> tuple[str, ...]:
         if part not in OBS_MODES:
             raise unknown_name("observation mode", part, OBS_MODES, MODES_ELSEWHERE)
         wanted.update(OBS_MODES[part])
+    # In one order, whatever the order of the words.
     return tuple(name for name in (*CAMERA_OUTPUTS, POINTCLOUD) if name in wanted)
 
 
@@ -89,6 +91,7 @@ def camera_names(robot: Robot, cameras: str | Sequence[str]) -> tuple[str, ...]:
     Raises:
         UsageError: a name that is no camera, or none at all.
     """
+    # Each once: two images under one key would overwrite each other.
     names = (cameras,) if isinstance(cameras, str) else tuple(dict.fromkeys(cameras))
     for name in names:
         robot.camera(name)

@@ -37,6 +37,7 @@ def pose_in_base(base: Array, height: float, pose: Array) -> Array:
     half = 0.5 * yaw
     xy = pose[..., :2] - base[:, BASE_XY]
     quat = pose[..., 3:]
+    # Signs by a constant, so that both columns are one product.
     across = xp.sin(yaw) * constant((1.0, -1.0), pose)
     turn = xp.sin(half) * constant((1.0, 1.0, -1.0, -1.0), pose)
     out = empty(pose.shape, pose)
@@ -193,6 +194,7 @@ def base_velocity_row(robot: Robot) -> ObsEntry:
 def state_table(robot: Robot, own: bool = False) -> tuple[ObsEntry, ...]:
     """The entries of ``state``, in order; ``own``: those of the mode "proprioception"."""
     tcp, *task = task_rows(robot)
+    # Odometry in place of object and goal: it is what the robot measures itself.
     if own:
         return (*joint_rows(robot), base_velocity_row(robot), tcp)
     return (*joint_rows(robot), tcp, *task)
@@ -223,6 +225,7 @@ def _base_velocity(context: ObsContext) -> Array:
     c = xp.cos(yaw)
     s = xp.sin(yaw)
     velocity = context.robot_qd[:, BASE_XY]
+    # The joints of the base are along the axes of the world.
     ahead = c * velocity[:, 0] + s * velocity[:, 1]
     left = c * velocity[:, 1] - s * velocity[:, 0]
     return xp.stack([ahead, left, context.robot_qd[:, BASE_YAW]], axis=1)
@@ -231,6 +234,7 @@ def _base_velocity(context: ObsContext) -> Array:
 def state_observation(table: Sequence[ObsEntry], context: ObsContext) -> dict[str, Array]:
     """Every entry of a `state_table` and their concatenation, float32, (W, ...); the entries are views of it."""
     float32 = namespace(context.robot_q).float32
+    # One array, of which the entries are views: they cost nothing.
     state = join_as([entry.compute(context) for entry in table], float32)
     obs = {}
     column = 0

@@ -22,6 +22,7 @@ def table_space(
         entry.key: entry.space for entry in (*state, *cameras)
     }
     width = sum(entry.shape[0] for entry in state)
+    # Unbounded: velocities and positions in the home have no natural limit.
     box[STATE_KEY] = spaces.Box(-np.inf, np.inf, (width,), np.float32)
     ends = np.cumsum([entry.shape[0] for entry in state]).tolist()
     starts = (0, *ends[:-1])

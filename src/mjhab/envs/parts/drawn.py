@@ -26,6 +26,7 @@ class DrawnImages:
         homes: Sequence[str],
         target: np.ndarray | None,
     ) -> None:
+        # Copies: the caller may write into what it was given.
         self.images = {key: rows.copy() for key, rows in images.items()}
         self._shown = [rows.copy() for rows in _shown(state, homes, target)]
 
@@ -34,6 +35,7 @@ class DrawnImages:
     ) -> np.ndarray:
         """(W,) bool: worlds whose images would be others now."""
         pairs = zip(self._shown, _shown(state, homes, target), strict=True)
+        # Exactly: a move of a micrometre may change a pixel.
         other = [(old != new).reshape(len(homes), -1).any(axis=1) for old, new in pairs]
         return np.logical_or.reduce(other)
 

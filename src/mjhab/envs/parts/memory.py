@@ -57,6 +57,7 @@ class Need:
 
     def most(self, free_mb: float) -> int:
         """Largest number of worlds that fits into ``free_mb`` [MB]."""
+        # Not even the base may fit.
         return max(0, int((free_mb - self.base_mb) / self.world_mb))
 
 
@@ -77,6 +78,7 @@ class WorldPictures:
         outputs = mode_outputs(self.obs_mode)
         size = self.camera_size
         height, width = (size, size) if isinstance(size, int) else size
+        # Without images no camera is drawn.
         pixels = self.cameras * height * width if outputs else 0
         return pixels, sum(PIXEL_BYTES[name] for name in outputs) * pixels / 2**20
 
@@ -154,6 +156,7 @@ def check_device_memory(
     from mjhab.sim.warp.device import free_mb, open_device
 
     opened = open_device(device)
+    # Warp's CPU device takes the memory of the machine.
     free = free_mb(opened) if opened.is_cuda else available_mb()
     _check(
         device_need(pictures or WorldPictures(), copies, world_mb),
@@ -164,6 +167,7 @@ def check_device_memory(
 
 
 def _check(need: Need, num_envs: int, free: float | None, where: str) -> None:
+    # Where the system does not tell, nothing is refused.
     if free is not None and need.total_mb(num_envs) > free:
         most = need.most(free)
         advice = (

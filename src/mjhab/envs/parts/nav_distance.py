@@ -42,6 +42,7 @@ class NavDistance:
         self._homes = layout.pack.homes_by_name
         self._pack = layout.pack
         self._given = maps or self._shared
+        # Single precision is exact to micrometres at these lengths, and halves the memory.
         self._fields = np.zeros((num_worlds, 1, 1), np.float32)
         self._origin = np.zeros((num_worlds, 2))
         self._cell = np.ones(num_worlds)
@@ -59,6 +60,7 @@ class NavDistance:
         found = self._given(home)
         field = found.distances_to(goal_xy)
         worlds, x, y = self._fields.shape
+        # One array for all worlds, as large as the largest home so far: it is looked up in one call.
         if field.shape[0] > x or field.shape[1] > y:
             grown = np.zeros(
                 (worlds, max(x, field.shape[0]), max(y, field.shape[1])), np.float32

@@ -232,6 +232,7 @@ class Observer(ObservedRows):
             if known is None and self._drawn is not None:
                 known = self._drawn.images
                 changed = self._drawn.outdated(state, homes, target)
+            # All anew is one call; copying what is known would be for nothing.
             if known is None or changed is None or changed.all():
                 images = self.draw(state, homes, target, self._moments())
             else:
@@ -251,6 +252,7 @@ class Observer(ObservedRows):
         target: np.ndarray | None,
     ) -> dict[str, np.ndarray]:
         """The images (W, ...) of ``known``, with those of the worlds ``changed`` drawn again."""
+        # Copies: observations that were returned are never modified.
         images = {entry.key: known[entry.key].copy() for entry in self.camera_rows}
         worlds = np.flatnonzero(changed)
         moments = self._moments()
@@ -289,12 +291,14 @@ class Observer(ObservedRows):
         changed = None
         if perturber is not None:
             coloured = {*self.drawn, *self.target_outputs} & {*COLOURS}
+            # Materials matter for colours alone.
             scene = self.renderer.scene if coloured else None
             changed = perturber.views(moments, self.cameras, scene)
         images: dict[str, np.ndarray] = {}
         if self.drawn:
             more: tuple[str, ...] = ()
             if perturber is not None and "rgb" in self.drawn:
+                # Depth and segments cost time, and only changes of colours ask for them.
                 more = tuple(sorted(perturber.needs - {*self.drawn}))
             images = self.renderer.robot_views(
                 state, homes, self.size, (*self.drawn, *more), self.cameras, changed
@@ -320,6 +324,7 @@ class Observer(ObservedRows):
             fovy = self.renderer.fields_of_view(self.cameras)
             seen = (pos, mat, np.broadcast_to(fovy, pos.shape[:2]))
             mounts = changed.mounts
+            # The image is that of the moved camera, while its parameters tell the nominal one.
             _, true_mat, true_fovy = mounts.applied(*seen) if mounts else seen
             focal = 0.5 * self.size[0] / np.tan(0.5 * true_fovy)
             perturber.pictures(moments, images, true_mat, focal)

@@ -97,6 +97,7 @@ class Perturber:
         for world, moment in enumerate(self._moments):
             if self.acts and moment.drawn:
                 executed[world] = self._act(world, moment, actions[world], still[world])
+            # In every world, also without noise of actions: images depend on the step.
             self._moments[world] = moment._replace(step=moment.step + 1)
         return executed
 
@@ -104,13 +105,16 @@ class Perturber:
         self, world: int, moment: PerturbedMoment, action: np.ndarray, still: np.ndarray
     ) -> np.ndarray:
         delays = [called(d.axis, "delay", d) for d in _with(moment.drawn, "delay")]
+        # A copy: the caller may write into its array before the action is executed.
         waiting = [*self._late[world], action.copy()]
+        # Until as many have come as the delay is long, the robot holds its pose.
         late = len(waiting) > sum(int(delay) for delay in delays)
         now = waiting.pop(0) if late else still
         self._late[world] = waiting
         for drawn in _with(moment.drawn, "act"):
             found = called(drawn.axis, "act", drawn, now, self._frame, moment.step)
             now = np.asarray(found, np.float32)
+            # A plugin's slip would else show as a broken simulation.
             if now.shape != action.shape or not np.isfinite(now).all():
                 raise fault(
                     PERTURBATIONS.described(drawn.axis),
@@ -139,6 +143,7 @@ class Perturber:
             mounts = CameraChange(*(np.stack(rows) for rows in zip(*found, strict=True)))
         axes = [_with(moment.drawn, "looks") for moment in moments]
         if scene is not None and any(axes):
+            # Images of meshes fit theirs alone; patterns fit anything.
             image = (scene.mat_texture >= 0) & ~scene.mat_pattern
             looks = np.stack([self._looks(drawn, image) for drawn in axes])
         return ViewChange(mounts, looks)
@@ -157,6 +162,7 @@ class Perturber:
                         PERTURBATIONS.described(one.axis),
                         f"looks must return {len(looks)} numbers from 0 to {len(looks) - 1}.",
                     )
+                # One axis after the other, each on what the last one chose.
                 looks = found[looks].astype(np.int32)
             self._keep(key, looks)
         return self._kept[key]
@@ -173,6 +179,7 @@ class Perturber:
             for c, camera in enumerate(cameras):
                 for one in drawn:
                     change: MountChange = called(one.axis, "mount", one, camera)
+                    # In the axes that earlier changes have turned.
                     shift[c] += turn[c] @ change.shift
                     turn[c] = turn[c] @ mat_from_rotation_vector(change.turn[None])[0]
                     widen[c] *= change.widen
@@ -181,6 +188,7 @@ class Perturber:
 
     def _keep(self, key: tuple[object, ...], found: Any) -> None:
         """Keep what an axis gives once for an episode, whose images all need it."""
+        # All at once: a long run comes back to none of them.
         if len(self._kept) > MOST_KEPT:
             self._kept.clear()
         self._kept[key] = found

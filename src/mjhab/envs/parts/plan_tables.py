@@ -86,6 +86,7 @@ def look_up(tables: Tables, pointer: Array, config: TaskConfig) -> Focus:
     columns = xp.stack([target, held], axis=1)
     object_shown, goal_shown = shown(active.kind)
     jointed, navigates = properties(kind, "jointed", "navigates")
+    # The tcp is always shown.
     shows = [kind == kind, object_shown & (obj >= 0), goal_shown]
     has_obj = (tables.obj >= 0)[..., None]
     return Focus(
@@ -133,6 +134,7 @@ class PlanTables:
             [empty] * num_worlds, config, min_subtasks=num_subtasks
         )
         shape = (num_worlds, num_subtasks)
+        # -1 reads the last row, whose values are then set to zero.
         self.target = np.full(shape, -1)
         self.held = np.full(shape, -1)
         self.obj = np.full(shape, -1)
@@ -149,6 +151,7 @@ class PlanTables:
         )
         for field in dataclasses.fields(PlanArrays):
             table = getattr(self.arrays, field.name)
+            # Corners of zones are there for one type of goal only.
             if table is not None:
                 table[world] = getattr(row, field.name)[0]
         self.plans[world] = plan
@@ -162,6 +165,7 @@ class PlanTables:
             jointed = spec_of(subtask.kind).jointed
             self.obj[world, s] = slot
             self.link[world, s] = link
+            # Contact columns are objects first, then links.
             self.target[world, s] = len(objects) + link if jointed else slot
             if subtask.must_hold:
                 self.held[world, s] = slot

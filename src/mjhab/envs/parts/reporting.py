@@ -66,6 +66,7 @@ class Reporter:
         """Description of a world's episode, see `describe_episode`; None without an episode."""
         if episode is None:
             return None
+        # By identity: every episode has a plan of its own.
         if self._described[world] is not plan:
             self._described[world] = plan
             self._descriptions[world] = describe_episode(
@@ -99,8 +100,10 @@ class Reporter:
             for world, plan in enumerate(plans):
                 if moved[world] or self._reported[world] is not plan:
                     self._tell(world, episodes[world], plan, int(pointer[world]))
+            # The environment may write into its own.
             self._pointer = pointer.copy()
         return {
+            # Copies, as arrays that were returned are never modified.
             "instruction": self._sentences.copy(),
             "episode_spec": self._specs.copy(),
             "reward_mode": self._paid,
@@ -113,6 +116,7 @@ class Reporter:
         spec = self.describe(world, episode, plan)
         self._specs[world] = spec
         self._sentences[world] = active_instruction(spec, pointer)
+        # Without an episode it must be told once there is one.
         self._reported[world] = plan if spec is not None else None
 
 
@@ -163,4 +167,5 @@ def active_instruction(episode: Mapping[str, Any] | None, pointer: int) -> str:
     if episode is None:
         return ""
     sentences = episode["instructions"]
+    # A finished plan keeps its last sentence.
     return sentences[min(pointer, len(sentences) - 1)]

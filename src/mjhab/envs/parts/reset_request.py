@@ -45,6 +45,7 @@ def indices_of(wanted: Any, count: int) -> list[int]:
         UsageError: they are not whole numbers from 0, or not so many.
     """
     listed = _listed(wanted) or []
+    # All at once, so that one message covers kind and number.
     given = [index for index in map(_index, listed) if index is not None]
     if not len(given) == len(listed) == count:
         raise wrong_value(
@@ -64,6 +65,7 @@ def _listed(values: Any) -> list[Any] | None:
 def _index(value: Any) -> int | None:
     """A whole number that an episode can have; None for anything else."""
     try:
+        # True would count as episode 1; `index` refuses floats, which would be cut off.
         index = -1 if isinstance(value, bool) else operator.index(value)
     except TypeError:
         return None

@@ -96,6 +96,7 @@ class Rewarder:
             raise unknown_name("reward mode", mode, REWARD_MODES)
         self.mode = mode
         if kinds is not None and mode not in DENSE_MODES:
+            # Without a dense reward a subtask can still be counted.
             kinds = [name for name in kinds if SUBTASKS[name].reward is not None]
         self.dense = DenseReward(rules.config, rules.options, kinds)
         self._bounded = rules.options is None or rules.options.formula == "bounded"
@@ -131,6 +132,7 @@ class Rewarder:
             which sum to the dense reward before normalising, 0 where a world's subtask does not have the term.
         """
         if self.mode == "none":
+            # A new array: the caller may write into what it gets.
             return self._zero + 0.0, {}
         if self.mode in ("sparse", "pointer"):
             counted = (
@@ -160,6 +162,7 @@ class Rewarder:
         jointed = "joint" in reads
         distance = zero
         if jointed:
+            # Worlds without a link compute some handle, and their result is not used.
             some = xp.where(focus.link > 0, focus.link, 0)
             handle = self._sensing.handle_pos(state, rows, some)
             distance = norm3(world.tcp_pos - handle)

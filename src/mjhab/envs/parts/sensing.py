@@ -125,11 +125,13 @@ class Sensing:
         rows = self._rows
         column = focus.columns
         has = focus.has_columns
+        # Column -1 reads the last target, which the mask takes away.
         force = state.finger_force[rows[:, None], :, column] * has[..., None, None]
         return Felt(
             force,
             state.touch[rows, column[:, 0]] & has[:, 0],
             state.ee_contact[rows, column[:, 0]] & has[:, 0],
+            # As ManiSkill's tcp_pose: the mean of the fingers, which is the tcp link while they are symmetric.
             (state.body_pos[:, self._left] + state.body_pos[:, self._right]) / 2,
             namespace(force).einsum(
                 "wfij,fj->wfi", state.body_mat[:, self._fingers], self._opening
@@ -147,6 +149,7 @@ class Sensing:
 
     def joint_now(self, state: SimState, focus: Focus) -> Array:
         """(W,) joint position of the active subtask's link [m or rad], 0 without one."""
+        # An empty table has no last row to read.
         if not self._has_links:
             return zeros((len(self._rows),), state.robot_q)
         return state.link_q[self._rows, focus.link] * focus.has_link
@@ -165,6 +168,7 @@ class Sensing:
         low, high = self._range[link].T
         opening = (state.link_q[self._rows, link] - low) / (high - low)
         axis = state.body_mat[self._rows, self._link_body[link], :, 0]
+        # By cosine and sine below, so that no jump at half a turn is seen.
         heading = xp.atan2(axis[:, 1], axis[:, 0]) - state.robot_q[:, BASE_YAW]
         speed = state.link_qd[self._rows, link]
         near = xp.exp(-opening / NEARLY_CLOSED)
@@ -204,7 +208,9 @@ class Sensing:
         if self._has_links and may_hold(jointed):
             where = namespace(jointed).where
             handle = self.handle_pos(state, rows, where(focus.has_link, focus.link, 0))
+            # The handle moves with its link, while the plan has where it was at the start.
             goal = where(jointed[:, None], handle, goal)
+        # One array for all three, turned into the base's frame in one call.
         poses = zeros((3, len(rows), 7), state.body_pos)
         poses[0, :, :3] = state.body_pos[:, self._tcp]
         poses[0, :, 3:] = state.body_quat[:, self._tcp]

@@ -99,6 +99,7 @@ def snapshot(env: RestorableWorlds, world: int) -> dict[str, Any]:
         **{key: part.get_state(world) for key, part in env.restorable_parts().items()},
         **env.get_columns(world),
     }
+    # Further parts follow behind those of the order.
     return {key: found[key] for key in _ORDER} | found
 
 
@@ -112,6 +113,7 @@ def restore(env: RestorableWorlds, world: int, state: dict[str, Any]) -> None:
         raise UsageError("reset the environment once before putting a state into it")
     name = state["episode"]
     episode = env.make_episode(name["seed"], name["index"])
+    # The same seed and index may mean another episode in another pack.
     if episode.home != name["home"]:
         raise wrong_value(
             "home",
@@ -122,6 +124,7 @@ def restore(env: RestorableWorlds, world: int, state: dict[str, Any]) -> None:
         )
     env.sim.set_world(world, episode.home, state["sim"])
     env.adopt(world, episode)
+    # After the physics, whose restoring clears it.
     env.sim.add_taint(world, state["taint"])
     env.set_columns(world, state)
     # Snapshots of older versions lack ``ee_contact``; ``touch`` takes its place, as in their labels.
@@ -132,5 +135,6 @@ def restore(env: RestorableWorlds, world: int, state: dict[str, Any]) -> None:
     progress = {"peak_finger_force": 0.0, **state["progress"]}
     env.follow(with_row(env.progress, world, progress))
     env.state = env.sim.state()
+    # Last: parts such as the perturber begin anew when the episode is adopted.
     for key, part in env.restorable_parts().items():
         part.set_state(world, state[key])

@@ -65,6 +65,7 @@ class Teleports:
 
     def get_state(self, world: int) -> int:
         """Number of poses sampled for the teleport of a world, -1 if none is due."""
+        # The number of the try is a key, so that the result does not depend on how many are made per step.
         return int(self.pending[world])
 
     def set_state(self, world: int, state: int) -> None:
@@ -126,6 +127,7 @@ class Teleports:
             self.pending[world] += 1
             if found is not None:
                 return TeleportPose(world, found, fallback=False)
+        # The others go on in the next step, so that one crowded world does not hold up the batch.
         if self.pending[world] < MAX_TRIES:
             return None
         return TeleportPose(
@@ -138,7 +140,9 @@ class Teleports:
         if slot < 0:
             return None
         force = np.linalg.norm(state.finger_force[world, :, slot], axis=-1)
+        # One finger alone holds nothing: the object stays where it is.
         if not (force > 0).all():
             return None
         tcp = self._sensing.tcp_pose(state)[world]
+        # Relative to the hand, with which it moves.
         return Held(slot, pose_mul(pose_inv(tcp), state.object_pose[world, slot]))

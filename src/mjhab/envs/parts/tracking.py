@@ -63,6 +63,7 @@ class Tracker:
     def update(self, signals: Signals, progress: Progress) -> list[list[str]]:
         """Add one control step, before the pointer advances; returns the names of its events per world."""
         assert self._notes is not None
+        # None spares the choosing where all worlds run.
         live = ~progress.done if may_hold(progress.done) else None
         return self._notes.step(signals.kind, signals, progress.episode_step, live)
 
@@ -75,6 +76,7 @@ class Tracker:
     ) -> list[dict[str, Any] | None]:
         """Records of the subtasks that ended in this step; ``progress`` is the one before the pointer moved."""
         records: list[dict[str, Any] | None] = [None] * self._num_worlds
+        # In most steps nothing ends.
         if not may_hold(outcome.ended):
             return records
         assert self._notes is not None

@@ -166,6 +166,7 @@ class WorldView:
     @property
     def q(self) -> np.ndarray:
         """(J,) joint positions: base x, y [m], yaw [rad] in the world, then posture and fingers [m or rad]."""
+        # The simulator overwrites its arrays in the next step.
         return self._env.state.robot_q[self.world].copy()
 
     @property
@@ -284,6 +285,7 @@ def _static_boxes(layout: Layout, home: Home) -> Boxes:
         layout.prop_slots, layout.slot_placements(home), strict=True
     ):
         prop = layout.pack.props[slot.template]
+        # Rugs are driven over.
         if placement is not None and prop.blocks_base:
             parts.append(_placed(prop.geoms, placement, layout.pack))
     for articulation in layout.articulations:
@@ -294,6 +296,7 @@ def _static_boxes(layout: Layout, home: Home) -> Boxes:
 
 def _placed(geoms: tuple[Geom, ...], at: Placement, pack: Pack) -> Boxes:
     """Collision boxes, in the world, of placed shapes; a convex mesh is replaced by the smallest box around it."""
+    # Boxes alone, because the planners' kernels know nothing else.
     boxed = [boxed_hull(g, pack) if g.shape == "mesh" else g for g in geoms if g.collide]
     return _moved(_boxes(boxed), np.array(at.pos), mat_from_quat(np.array(at.rotation)))
 
@@ -309,6 +312,7 @@ def _boxes(geoms: list[Geom]) -> Boxes:
     for g in geoms:
         a, b, c = g.size
         half.append(
+            # MuJoCo's sizes: half of the cylinder's length, without the caps of a capsule.
             {"box": (a, b, c), "cylinder": (a, a, b), "capsule": (a, a, a + b)}.get(
                 g.shape, (a, a, a)
             )

@@ -29,7 +29,9 @@ class CameraAxis(Perturbation):
         amounts = drawn.amounts
         found = {}
         for camera in robot.camera_names:
+            # A stream per camera: one more camera does not move the others.
             random = drawn.stream(camera)
+            # The whole amount of the level, to one side or the other, so that levels do not overlap.
             widen = amounts["widen"] * float(random.choice((-1.0, 1.0)))
             found[camera] = {
                 "shift": (amounts["shift"] * _direction(random)).tolist(),
@@ -46,6 +48,7 @@ class CameraAxis(Perturbation):
 
 def _direction(random: np.random.Generator) -> np.ndarray:
     """A unit vector (3,), all directions alike."""
+    # Three normal numbers have no preferred direction, unlike those from a cube.
     vector = random.normal(size=3)
     return vector / np.sqrt(np.square(vector).sum())
 

@@ -45,8 +45,10 @@ class ColoursAxis(Perturbation):
         random = drawn.stream("textures")
         chosen = random.random(len(image)) < drawn.amounts["textures"]
         found = np.arange(len(image))
+        # Images of meshes are laid out for their mesh, and patterns for any.
         for group in (image, ~image):
             every = np.flatnonzero(group)
+            # Drawn for all materials, chosen or not, so that a level changes no other choice.
             other = random.integers(max(len(every), 1), size=len(every))
             found[every] = np.where(chosen[every], every[other], every)
         return found
@@ -88,7 +90,9 @@ def _kept_mixes(level: int, seed: int, index: int) -> np.ndarray:
     keep = saturation[:, None, None]
     mixes = keep * np.eye(3) + (1.0 - keep) * grey
     mixes = brightness[:, None, None] * (mixes @ turn)
+    # Segment 0 is what nothing is hit in.
     mixes[0] = np.eye(3)
+    # As the kernel mixes in single precision.
     return mixes.astype(np.float32)
 
 

@@ -11,6 +11,7 @@ import numpy as np
 from mjhab.core.kernels.jit import compiler
 
 _MODULE = "envs.perturbations.kernels"
+# There is no NaN in images, and without care for it and for signed zeros loops are vectorised.
 _NUMBERS = {"nnan", "nsz"}
 _helper = compiler(_MODULE, forceinline=True, fastmath=_NUMBERS)
 _kernel = compiler(_MODULE, fastmath=_NUMBERS)
@@ -64,8 +65,10 @@ def _faced(upper, lower, v, inv, toward, entry, most):
         nx = by * az - bz * ay
         ny = bz * ax - bx * az
         nz = bx * ay - by * ax
+        # Never 0: a cell that is seen edge on has no normal.
         square = nx * nx + ny * ny + nz * nz + np.float32(1e-24)
         along = nx * toward[0] + ny * toward[1] + nz * toward[2]
+        # Turned away from the light is as dark as edge on.
         share = max(along / np.sqrt(square), zero) * top + np.float32(0.5)
         step = max(max(d, e), f) - min(min(d, e), f)
         entry[cell] = np.uint8(np.int32(share if step < EDGE * d else np.float32(OTHER)))
@@ -147,6 +150,7 @@ def relight(rgb, depth, focal, toward, table, shadows):
     """
     cameras, height, width = depth.shape
     cells = width // CELL_PX
+    # One more for the last column of an odd width.
     entry = np.empty(cells + 1, np.uint8)
     flat = table.reshape(table.size)
     points = (height - 2) // SHADOW_PX + 2, (width - 2) // SHADOW_PX + 2
@@ -168,6 +172,7 @@ def relight(rgb, depth, focal, toward, table, shadows):
                 line = rgb[camera, row]
                 for column in range(width):
                     i = np.uint64(column)
+                    # 3 tables of 256 bytes lie behind each other.
                     at = np.uint64(entry[i // np.uint64(CELL_PX)]) * np.uint64(768)
                     line[i, 0] = flat[at + np.uint64(line[i, 0])]
                     line[i, 1] = flat[at + np.uint64(256) + np.uint64(line[i, 1])]
@@ -266,11 +271,13 @@ def holes(images, key, step, share):
     images: (C, h, w), any kind of number. key: uint64 of the episode. step: control step. share: of the squares.
     """
     cameras, height, width = images.shape
+    # 32 bits are compared, which tell shares apart to 2e-10.
     limit = np.uint64(share * 2.0**32)
     counter = _mixed(key ^ _mixed(np.uint64(step) + np.uint64(1)))
     for camera in range(cameras):
         for y in range(0, height, HOLE_PX):
             for x in range(0, width, HOLE_PX):
+                # The golden ratio of 64 bits, with which splitmix64 counts: no two squares get the same number.
                 counter += np.uint64(0x9E3779B97F4A7C15)
                 if (_mixed(counter) >> np.uint64(32)) >= limit:
                     continue
@@ -283,6 +290,7 @@ def holes(images, key, step, share):
 def steps(depth, step):
     """Round all distances (C, h, w) float32 to multiples of ``step`` float32 [m], in place."""
     flat = depth.reshape(depth.size)
+    # Multiplying is faster than dividing, and vectorised.
     per = np.float32(1.0) / step
     for i in range(len(flat)):
         flat[i] = np.rint(flat[i] * per) * step

@@ -93,8 +93,10 @@ class LanguageAxis(Perturbation):
 
     def sentence(self, drawn: Drawn, text: str, number: int) -> str:
         """The sentence in other words."""
+        # An episode without a sentence has none in other words either.
         if not text:
             return text
+        # By the place of the sentence: equal ones of an episode may differ, and none depends on the others.
         random = drawn.stream(number)
         amounts = drawn.amounts
         for _ in range(int(amounts["synonyms"])):
@@ -119,10 +121,12 @@ def with_synonym(text: str, random: np.random.Generator) -> str:
         for word, others in words.items():
             for match in re.finditer(rf"{before}\b{re.escape(word)}\b", text):
                 end, _ = longest.get(match.start(), (0, ()))
+                # The longest one that begins there: "set the table" before "set".
                 if match.end() > end:
                     longest[match.start()] = (match.end(), others)
     if not longest:
         return text
+    # Sorted, so that the draw does not depend on the order of the tables.
     start = sorted(longest)[int(random.integers(len(longest)))]
     end, others = longest[start]
     return f"{text[:start]}{_one(others, random)}{text[end:]}"

@@ -37,6 +37,7 @@ class LayoutAxis(Perturbation):
         """Put as many as find room; every second attempt is with one less."""
         random = drawn.stream(attempt)
         most = min(int(drawn.amounts["objects"]), len(scene.distractors))
+        # Fewer with every second try: a full table has no room for many.
         count = max(most - attempt // 2, 0)
         if not count:
             return None

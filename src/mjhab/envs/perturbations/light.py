@@ -43,6 +43,7 @@ class LightAxis(Perturbation):
         """Gain of red, green and blue, and the direction to the light (3,), world frame."""
         random = drawn.stream()
         amounts = drawn.amounts
+        # The whole amount, brighter or darker, so that levels do not overlap.
         gain = 2.0 ** (amounts["stops"] * float(random.choice((-1.0, 1.0))))
         tint = amounts["tint"] * float(random.choice((-1.0, 1.0)))
         around = float(random.uniform(-np.pi, np.pi))
@@ -64,6 +65,7 @@ class LightAxis(Perturbation):
         if "rgb" not in images:
             return
         table = _table(tuple(drawn.values["gain"]), drawn.amounts["side"])
+        # Into the axes of the cameras: columns of the matrix are these in the world.
         toward = np.array(drawn.values["from"]) @ frame.mat
         shadows = bool(drawn.amounts["shadows"])
         relight(images["rgb"], images["depth"], frame.focal, toward, table, shadows)

@@ -63,6 +63,7 @@ class NoiseAxis(Perturbation):
         if "rgb" in images:
             blur(images["rgb"], drawn.amounts["blur"])
         if "depth" in images:
+            # Before the holes, so that a hole stays exactly 0.
             rounded(images["depth"], drawn.amounts["steps"] / MM_PER_M)
         for name in ("depth", "target_depth"):
             if name in images:
@@ -80,6 +81,7 @@ class NoiseAxis(Perturbation):
         block, row = divmod(step, BLOCK)
         bells = _bells(drawn.level, drawn.seed, drawn.index, block, len(action))
         noise = drawn.amounts["action"] * bells[row]
+        # A trembling gripper would let go of what it holds.
         noise[frame.gripper] = 0.0
         found = action + noise * frame.half
         found[list(frame.base)] *= drawn.values["grip"]
@@ -94,6 +96,7 @@ def _bare(level: int, seed: int, index: int) -> Drawn:
 @lru_cache(maxsize=EPISODES_KEPT)
 def _key(level: int, seed: int, index: int) -> np.uint64:
     """What the holes of an episode are counted from."""
+    # A stream of its own: the kernel counts from here, pixel by pixel.
     random = _bare(level, seed, index).stream("holes")
     return random.integers(2**64, dtype=np.uint64)
 

@@ -38,6 +38,7 @@ def tones() -> Tones:
 
     bytes_of = tone_curve()
     shown = srgb_to_linear(np.arange(256) / 255.0)
+    # Full white would be infinitely bright.
     over = np.minimum((shown - _KNEE) / (1.0 - _KNEE), 1.0 - 1e-9)
     bright = _KNEE - (1.0 - _KNEE) * np.log1p(-np.maximum(over, 0.0))
     light = np.minimum(np.where(over > 0.0, bright, shown), TONE_RANGE)
@@ -116,6 +117,7 @@ def _bell(sigma: float) -> np.ndarray:
     radius = max(1, int(np.ceil(2.5 * sigma)))
     bell = np.exp(-0.5 * np.square(np.arange(-radius, radius + 1) / sigma))
     weights = np.rint(ONE * bell / bell.sum()).astype(np.int64)
+    # What rounding took goes to the middle, so that a blur keeps the brightness.
     weights[radius] += ONE - weights.sum()
     return weights.astype(np.uint16)
 

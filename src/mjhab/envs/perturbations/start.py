@@ -28,6 +28,7 @@ class StartAxis(Perturbation):
         self, drawn: Drawn, scene: StartScene, attempt: int
     ) -> tuple[np.ndarray, Mapping[str, Any]] | None:
         """Shift, turn and bend the robot by the numbers of the level, in drawn directions."""
+        # Each try has its own numbers, so that a refused one is not drawn again.
         random = drawn.stream(attempt)
         amounts = drawn.amounts
         around = float(random.uniform(-np.pi, np.pi))

@@ -47,7 +47,9 @@ def dict_space(env: VectorEnv, wrapper: str) -> spaces.Dict:
         )
     space = env.single_observation_space
     if isinstance(space, spaces.Dict) and isinstance(
-        space.spaces.get("agent"), spaces.Dict
+        # Nested observations have a dict of this name.
+        space.spaces.get("agent"),
+        spaces.Dict,
     ):
         raise fault(wrapper, "takes flat observation keys: leave out obs_keys='nested'.")
     if not isinstance(space, spaces.Dict):

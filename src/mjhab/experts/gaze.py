@@ -52,6 +52,7 @@ class Neck:
         out = math.hypot(x, y)
         if out < NEAREST_M:
             return None
+        # Tilting down is positive in a turn about y.
         tilt = -math.atan2(z - self.tilt_at[2], max(out - self.tilt_at[0], NEAREST_M))
         return math.atan2(y, x), tilt
 
@@ -60,6 +61,7 @@ def neck_of(robot: Robot) -> Neck | None:
     """Pan and tilt joints of a robot's head; None if its head is not a pan joint about z followed by a tilt about y."""
     head = robot.group("head")
     links = {row.joint: row for row in robot.body.tree if row.joint}
+    # Other heads cannot be pointed by two angles.
     if len(head) != 2:
         return None
     pan = links[head[0]]
@@ -129,6 +131,7 @@ class Gaze:
 
     def __init__(self, robot: Robot, stationary: tuple[str, ...]) -> None:
         self._robot = robot
+        # A stationary head ignores its entries of the action.
         self._neck = None if "head" in stationary else neck_of(robot)
         self._rest = np.array([robot.rest_qpos[column] for column in robot.head_columns])
         limits = [robot.joint_limits[column] for column in robot.head_columns]
@@ -143,6 +146,7 @@ class Gaze:
         wish = (
             goal - view.q[list(self._robot.head_columns)]
         ) / self._robot.limits.joint_delta
+        # The expert's own action may be recorded as well.
         turned = action.copy()
         turned[list(self._robot.action.head)] = np.clip(wish, -1.0, 1.0)
         return turned

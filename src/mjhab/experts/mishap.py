@@ -45,12 +45,14 @@ class Mishap:
         """Executed action (A,) of this control step, from the one without the mishap."""
         self._steps += 1
         self._closed += bool(intended[self._columns.gripper] < 0.0)
+        # Closed from the very first step: the hand holds something, or is to push.
         if self._closed == self._steps == 1:
             self._after = self._closed_after
         late = self._closed == 0 and self._steps >= OPEN_STEPS + self._after
         if not self._left or not (late or self._closed >= self._after):
             return executed
         self._left -= 1
+        # The intended action stays what is learned from.
         changed = executed.copy()
         changed[self._columns.arm] = self._push
         changed[self._columns.gripper] = motion.OPEN

@@ -45,6 +45,7 @@ def phase(name: str, skill: str = "") -> Callable[[F], F]:
         raise unknown_name("skill", skill, SKILLS)
 
     def named(function: F) -> F:
+        # By the code, which a suspended generator still has; its function it does not.
         PHASES[function.__code__] = name
         if skill:
             _SKILL_OF[function.__code__] = skill
@@ -56,6 +57,7 @@ def phase(name: str, skill: str = "") -> Callable[[F], F]:
 def frames_of(script: Generator[Any, Any, Any]) -> Iterator[FrameType]:
     """Frames of a suspended script and of the generators that it delegates to, outermost first."""
     inner: Any = script
+    # Other iterators may be delegated to, and have no frame.
     while inner is not None and getattr(inner, "gi_frame", None) is not None:
         yield inner.gi_frame
         inner = inner.gi_yieldfrom
@@ -70,6 +72,7 @@ def phases_of(script: Generator[Any, Any, Any]) -> tuple[str, ...]:
 def doing(script: Generator[Any, Any, Any]) -> Doing:
     """What a suspended script is doing: the skill of its innermost phase that has one, and all its phases."""
     codes = [frame.f_code for frame in frames_of(script)]
+    # From the innermost outwards: a phase without a skill does what the one around it does.
     skill = next((_SKILL_OF[code] for code in reversed(codes) if code in _SKILL_OF), "")
     return Doing(skill, tuple(PHASES[code] for code in codes if code in PHASES))
 

@@ -75,6 +75,7 @@ class RobotSpheres:
         pos = []
         radius = []
         for i, name in enumerate(chain.links):
+            # The base is skipped: the map of the floor keeps it clear, and more exactly.
             for geom in geoms.get(name, ()) if name not in skip else ():
                 for points, size in _cover(geom):
                     link += [i] * len(points)
@@ -105,6 +106,7 @@ class RobotSpheres:
             link=np.append(self.link, np.full(len(pos), self.chain.tip_index)),
             pos=np.concatenate([self.pos, pos]),
             radius=np.append(self.radius, radius),
+            # What is held must not touch the trunk either.
             distal=np.append(self.distal, np.ones(len(pos), dtype=bool)),
         )
 
@@ -135,6 +137,7 @@ class RobotSpheres:
         Negative where they overlap; `NOTHING_NEAR_M` without boxes or spheres.
         """
         q = np.atleast_2d(q)
+        # The kernel would return infinity, with which differences become NaN.
         if len(q) == 0 or len(boxes) == 0 or len(self.radius) == 0:
             return np.full(len(q), NOTHING_NEAR_M)
         pos, rot = self._frames(q)
@@ -142,11 +145,13 @@ class RobotSpheres:
 
     def _frames(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """World positions (N, L, 3) and rotations (N, L, 3, 3) of the chain's links."""
+        # A copy of one layout, for which the kernel is compiled.
         return link_frames(tree_of(self.chain), np.array(q, np.float64, order="C"))
 
     @cached_property
     def _by_link(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Spheres sorted by link: first index of each link of `_bounds` (L + 1,), centres (M, 3), radii (M,)."""
+        # Stable, so that the spheres of a link keep their order.
         order = np.argsort(self.link, kind="stable")
         first = np.searchsorted(self.link[order], np.unique(self.link))
         return np.append(first, len(order)), self.pos[order], self.radius[order]
@@ -197,6 +202,7 @@ def _cover(geom: Any) -> list[tuple[np.ndarray, float]]:
     Thick boxes get a second group of small spheres along their long edges, which large spheres leave uncovered.
     """
     points, size = _fill(geom)
+    # Spheres that small leave no edge open that matters.
     if geom.shape != "box" or size <= _THICK_RADIUS_M:
         return [(points, size)]
     half = np.asarray(geom.size, dtype=np.float64)
@@ -204,6 +210,7 @@ def _cover(geom: Any) -> list[tuple[np.ndarray, float]]:
     axes = [np.linspace(-r, r, 2 + int(r / _EDGE_RADIUS_M)) for r in span]
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
     edges = grid[
+        # Along the longest side alone: the other edges end in the same corners.
         np.delete(np.abs(grid) >= span - 1e-9, np.argmax(half), axis=1).all(axis=1)
     ]
     rot = mat_from_quat(np.asarray(geom.quat, dtype=np.float64))
@@ -225,6 +232,7 @@ def _fill(geom: Any) -> tuple[np.ndarray, float]:
     else:
         radius = float(geom.size[0])
         length = float(geom.size[1])
+        # A flat disk gets a ring of smaller spheres, or one would stand out of it far above and below.
         small = min(radius, max(length, 0.7 * radius))
         if small == radius:
             local = _grid(np.array([0.0, 0.0, length - small]), small)
@@ -262,6 +270,7 @@ def _bounding(geoms: Sequence[Any]) -> Boxes:
         half.append(
             size
             if geom.shape == "box"
+            # A sphere has one number, and MuJoCo sets the others to 0.
             else np.array([size[0], size[0], size[1] or size[0]])
         )
     center = np.array([geom.pos for geom in geoms], dtype=np.float64).reshape(-1, 3)

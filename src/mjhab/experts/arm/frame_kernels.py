@@ -44,6 +44,7 @@ class Tree(NamedTuple):
     upper: np.ndarray
 
 
+# One per robot and set of links: converting takes longer than a kernel runs.
 @lru_cache(maxsize=16)
 def tree_of(chain: Chain) -> Tree:
     """Convert a chain to arrays for the kernels."""
@@ -60,6 +61,7 @@ def tree_of(chain: Chain) -> Tree:
         np.array(chain.column, np.int64),
         np.array([joint.sign for joint in chain.joints]),
         np.array([joint.pos for joint in chain.joints], np.float64),
+        # Root first, as a frame needs that of its parent.
         np.array(path[::-1], np.int64),
         float(chain.root_height),
         np.ascontiguousarray(chain.lower, np.float64),

@@ -29,6 +29,7 @@ def held_spheres(view: WorldView, obj: str) -> tuple[np.ndarray, np.ndarray]:
     pos, rot = motion.tcp(view)
     pose = view.object_pose(obj)
     half = np.array(view.object_type(obj).half)
+    # Thin things get spheres that stand out a little: few of them matter more than millimetres.
     radius = max(float(half.min()), 0.5 * float(np.sort(half)[1]))
     axes = []
     for size in half:

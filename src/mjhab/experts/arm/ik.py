@@ -131,10 +131,12 @@ def random_seeds(
         (count, Q) seeds inside the limits: ``q``, then about half normally distributed around it, the rest uniform.
     """
     seeds = np.repeat(np.asarray(q, dtype=np.float64)[None], count, axis=0)
+    # Joints without limits get a turn around the present angle.
     low = np.maximum(chain.lower[dofs], q[dofs] - np.pi)
     high = np.minimum(chain.upper[dofs], q[dofs] + np.pi)
     # Near seeds give short motions of the arm, far ones other branches of the inverse kinematics.
     near = (count - 1) // 2
+    # A joint with little room is not spread over its limits.
     scale = spread * np.minimum(1.0, (high - low) / 2)
     seeds[1 : 1 + near, dofs] += rng.normal(0.0, 1.0, (near, len(dofs))) * scale
     far = count - 1 - near
@@ -179,6 +181,7 @@ def solve(
         options.pos_tolerance,
         options.rot_tolerance,
     )
+    # Wider than where the iterations stop: a joint at its limit ends a little before.
     ok = (pos_err <= 3 * options.pos_tolerance) & (rot_err <= 3 * options.rot_tolerance)
     return Solutions(
         flat.reshape(*shape, -1),
@@ -281,6 +284,7 @@ def straight_line(
     spin = rotation_vector(goal_rot @ rot.swapaxes(-1, -2))
     far = np.linalg.norm(offset, axis=1) / reach
     wide = np.linalg.norm(spin, axis=1) / turn
+    # The slower of both sets the pace, so that hand and turn arrive together.
     share = 1.0 / np.maximum(np.maximum(far, wide), 1.0)
     return pos + share[:, None] * offset, mat_from_rotation_vector(
         share[:, None] * spin

@@ -60,7 +60,9 @@ def _rotation_error(
     vector = np.sqrt(x * x + y * y + z * z)
     size = np.sqrt(w * w + vector * vector)
     sine = vector / size
+    # The limit for small turns, where the quotient is 0 / 0.
     scale = 2.0 if sine <= 1e-9 else 2.0 * np.arctan2(sine, abs(w) / size) / sine
+    # The same rotation by the shorter way.
     if w < 0.0:
         scale = -scale
     out[3] = x / size * scale
@@ -148,6 +150,7 @@ def _task(
             row[0] = x
             row[1] = y
             row[2] = z
+            # A sliding joint turns nothing.
             row[3:] = 0.0
             continue
         dx = s.pos[tip, 0] - s.pos[link, 0]
@@ -234,6 +237,7 @@ def reach(
     slot = _slots(tree, dofs)
     s = make_space(tree, len(dofs))
     s.largest[:] = max_step
+    # All seeds of a goal lie behind each other.
     shared = len(q) // max(len(goal_pos), 1)
     for n in range(len(q)):
         now = q[n]
@@ -245,6 +249,7 @@ def reach(
             there = pos_err[n] <= pos_tolerance and rot_err[n] <= rot_tolerance
             if there or iteration == iterations:
                 break
+            # The pull towards rest fades out, as it keeps the tip off its goal.
             gain = rest_gain * max(0.0, 1.0 - 1.5 * iteration / iterations)
             _one_step(tree, now, rest, gain, dofs, s)
             for d in range(len(dofs)):
@@ -290,6 +295,7 @@ def servo_steps(
         _task(tree, ahead[n], goal_pos[n], goal_rot[n], mode, slot, s)
         _one_step(tree, q[n], rest, rest_gain, dofs, s)
         for d in range(len(dofs)):
+            # A joint that is beyond its limit may stay there, and is not pushed back in one step.
             step = min(max(s.step[d], min(s.low[d], 0.0)), max(s.high[d], 0.0))
             delta[n, dofs[d]] = step
     return delta

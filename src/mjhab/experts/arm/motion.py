@@ -100,7 +100,9 @@ def action(
     if goal is not None:
         wish = (goal - view.q) / limits.joint_delta
         arm = wish[list(robot.arm_columns)]
+        # Scaled as a whole: clipped by joint, the hand would leave the straight line in joint space.
         out[columns.arm] = arm * min(1.0, speed / max(float(np.abs(arm).max()), 1e-9))
+        # Apart from the arm, which need not wait for the slow torso.
         out[columns.body] = np.clip(wish[list(robot.body_columns)], -1.0, 1.0)
     return out
 
@@ -126,6 +128,7 @@ def hand_action(
     delta = ik.servo(
         view.robot.chain, view.q, goals, base_next=base_next, rest_gain=rest_gain
     )[0]
+    # A servo covers only this share of a change in one control step.
     return action(view, view.q + delta / ARM_STEP_SHARE, gripper=gripper, drive=drive)
 
 
@@ -245,6 +248,7 @@ class HandMove:
 
 def move_tcp(view: WorldView, move: HandMove) -> Motion:
     """Move the tcp on a straight line to a pose. Returns whether it arrived."""
+    # The present posture pulls least.
     rest = view.q if move.rest is None else move.rest
     dofs = ik.columns(view.robot.chain, torso=move.torso)
     now, now_rot = tcp(view)
@@ -326,6 +330,7 @@ def raise_tcp(
     Returns:
         Whether the tcp arrived.
     """
+    # A short lift must not count as done before it has begun.
     near = min(0.02, 0.3 * float(np.linalg.norm(pos - tcp(view)[0])))
     for speed, steps in ((0.05, 1), (0.1, 1), (0.15, 1), (0.25, max_steps)):
         move = HandMove(
@@ -369,6 +374,7 @@ def ahead_3d(yaw: float) -> np.ndarray:
 
 def angle_between(now: np.ndarray, goal: np.ndarray) -> float:
     """Angle [rad] between two rotations (3, 3)."""
+    # Rounding can bring the trace beyond 3.
     return float(np.arccos(np.clip((np.trace(now.T @ goal) - 1) / 2, -1.0, 1.0)))
 
 
@@ -396,11 +402,13 @@ def close_fingers(
     """
     goal = view.q
     pressed = 0
+    # From where the fingers are: a command far ahead would close them at once.
     command = float(view.q[view.robot.columns.fingers].mean())
     for _ in range(steps):
         # Once both fingers press, nothing is shoved aside any more.
         command -= 3.0 * rate if pressed else rate
         yield action(view, goal, gripper=gripper_at(view.robot, 2.0 * command))
+        # In a row: a single step of force is the first bounce.
         pressed = pressed + 1 if (view.finger_forces(target) > 1.0).all() else 0
         if pressed >= settle and command <= view.robot.limits.gripper[0]:
             return True
@@ -425,6 +433,7 @@ def rest_goal(view: WorldView) -> np.ndarray:
     """
     q = view.q
     goal = view.robot.rest.copy()
+    # The base stays where it is: rest is about the arm.
     goal[BASE] = q[BASE]
     return ik.unwind(view.robot.chain, goal, q) if any(view.config.endless) else goal
 
@@ -447,6 +456,7 @@ def joint_gap(view: WorldView, goal: np.ndarray) -> float:
     """Largest distance of an arm joint from ``goal`` (J,) [rad], or three times that of the torso [m] if larger."""
     off = np.abs(goal - view.q)
     arm = float(off[list(view.robot.arm_columns)].max())
+    # Metres count more than radians: a centimetre of the torso is a centimetre at the hand.
     return max(arm, 3.0 * float(off[list(view.robot.torso_columns)].max(initial=0.0)))
 
 

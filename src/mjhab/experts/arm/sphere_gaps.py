@@ -69,6 +69,8 @@ def min_gaps(
             for k in range(len(center)):
                 gap = box_gap(x, y, z, center[k], half[k], turn[k])
                 lower[i, k] = gap - around[i]
+                # The nearest sphere of the link is not farther than this: an upper bound on the distance that is looked
+                # for.
                 nearest = min(nearest, gap + around[i])
         best = np.inf
         for i, link in enumerate(links):

@@ -120,6 +120,7 @@ def _set_damped_step(s: Space) -> None:
             for k in range(i + 1):
                 s.square[i, k] += row[i] * row[k]
     for i in range(6):
+        # On the diagonal, which makes the matrix positive definite whatever the posture.
         s.square[i, i] += DAMPING + DAMPING_PER_ERROR * min(size, 1.0)
     _solve(s.square, s.wanted)
     for d in range(len(s.step)):
@@ -145,6 +146,7 @@ def set_limited_step(s: Space) -> None:
         share = 1.0
         for d in range(columns):
             s.step[d] += s.stopped[d]
+            # One factor for all joints, so that the tip keeps its direction.
             share = max(share, abs(s.step[d]) / s.largest[d])
         over = False
         for d in range(columns):

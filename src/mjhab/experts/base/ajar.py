@@ -24,7 +24,9 @@ def planner(view: WorldView, *, shut: bool = False) -> Planner:
         shut: count all doors and drawers as closed.
     """
     home = view.home
+    # Rounded, so that a door that swings a little does not ask for a new map in every step.
     ajar = () if shut else tuple((k, round(view.link_q(k), 1)) for k in home.links)
+    # What is shut is part of the furniture already.
     ajar_now = tuple((name, q) for name, q in ajar if q > 0.05)
     if not ajar_now:
         return home.derived.get("planner", lambda: _planner(home))
@@ -53,6 +55,7 @@ def _planner_with(home: HomeShapes, ajar: tuple[tuple[str, float], ...]) -> Plan
         nearest_box_distance(cells.reshape(-1, 3), flat).reshape(centres.shape[:2])
         + OVERHANG_M
     )
+    # Never below 0, as in the map.
     clearance = np.minimum(plain.clearance, np.maximum(gap, 0.0))
     return Planner(
         FloorClearance(plain.origin, plain.cell, clearance),

@@ -63,11 +63,14 @@ def plan_drive(
             trajectory = BaseTrajectory.of(pose, tried, lookahead, limits)
             clearance = plan.clearance(trajectory.poses)
             lack = max(asked - float(clearance.min(initial=np.inf)), 0.0)
+            # By the square, so that a millimetre costs next to nothing and a touch more than any detour.
             cost = STEP_SECONDS * len(trajectory.poses) + CLOSENESS_PRICE_S_M2 * lack**2
             if best is None or cost < best[0]:
                 best = (cost, trajectory)
+            # The first that keeps the clearance is the quickest, by the order of the choices.
             if lack == 0.0:
                 return best[1]
+            # There where it is tightest: one turn on the spot is often enough.
             tried = _split(tried, trajectory.poses[int(np.argmin(clearance)), :2])
             if tried is None:
                 break
@@ -103,6 +106,7 @@ def _joined(segments: Sequence[PathSegment]) -> list[PathSegment]:
     out: list[PathSegment] = []
     pending: list[PathSegment] = []
     for segment in segments:
+        # Turns on the spot wait until it is known whether the next piece takes them up.
         if not segment.length:
             pending.append(segment)
             continue
@@ -143,6 +147,7 @@ def _farthest(plan: Floorplan, points: np.ndarray, i: int, back: float) -> int:
 
     ``back``: 0 forwards, pi backwards.
     """
+    # From the far end: the first that works skips most.
     for j in range(len(points) - 1, i + 1, -1):
         if _line_clearance(plan, points[[i, j]], back) >= min(
             AMPLE_CLEARANCE_M, _line_clearance(plan, points[i : j + 1], back)

@@ -66,12 +66,14 @@ class Arm:
         q = np.stack(
             [posture, view.q][: 1 if motion.joint_gap(view, posture) < AT_REST_RAD else 2]
         )
+        # In the frame of the base, where the arm is the same at every pose.
         q[:, BASE] = 0.0
         center = robot.centers(robot.chain.forward(q)).reshape(-1, 3)
         radius = np.tile(robot.radius, len(q))
         low = np.floor((center[:, 2] - radius - SLICES_M[0]) / _STEP).astype(np.int64)
         high = np.floor((center[:, 2] + radius - SLICES_M[0]) / _STEP).astype(np.int64)
         out = (
+            # What is above the base is kept clear by its own map.
             (np.linalg.norm(center[:, :2], axis=1) + radius > view.robot.footprint.wide)
             & (high >= 0)
             & (low < len(SLICES_M))
@@ -115,6 +117,7 @@ class Floorplan:
             blocks: (B, 3) x, y, radius of places where the robot touched an unknown obstacle.
         """
         cells = planner(view)
+        # Before objects and doors are drawn: they do not block the view for long.
         sight = _solid(view.home)
         solid = sight.copy()
         objects = view.object_boxes((held,))
@@ -130,6 +133,7 @@ class Floorplan:
         low = objects.take(
             (height > -0.1)
             & (height < view.robot.footprint.top)
+            # Larger things on the floor are furniture of the map.
             & (objects.half.max(axis=1) < FALLEN_SIZE_M)
         )
         felt = (
@@ -190,6 +194,7 @@ class Floorplan:
         nx, ny = self.base.shape
         out = np.repeat(self.base[None], len(yaws), axis=0)
         for rows, free in self._groups:
+            # Outside of the map is no room, and shifts need no bounds.
             padded = np.pad(free, pad)
             for layer, yaw in zip(out, yaws, strict=True):
                 cos = np.cos(yaw)
@@ -203,6 +208,7 @@ class Floorplan:
                 for (i, j), radius in zip(
                     shift.tolist(), self.arm.radius[rows].tolist(), strict=True
                 ):
+                    # Many spheres fall into one cell; only the widest counts.
                     widest[i, j] = max(widest.get((i, j), 0.0), radius)
                 for (i, j), radius in widest.items():
                     np.minimum(
@@ -264,14 +270,17 @@ def _solid(home: HomeShapes) -> np.ndarray:
 def _find_solid(home: HomeShapes) -> np.ndarray:
     solid = np.zeros((len(SLICES_M), *home.map_clearance.shape), bool)
     _draw(solid, home.boxes, home.map_origin, home.map_cell)
+    # It is kept for the home, and callers draw into copies.
     solid.flags.writeable = False
     return solid
 
 
 def _distance(taken: np.ndarray, cell: float) -> np.ndarray:
     """Distance (X, Y) from the cells' centres to the nearest of the cells ``taken`` (X, Y) bool."""
+    # The transform is undefined without a taken cell.
     if not taken.any():
         return np.full(taken.shape, EMPTY_DISTANCE_M)
+    # From the middle of a free cell to the edge of the taken one.
     return np.maximum(np.asarray(distance_transform_edt(~taken)) * cell - cell / 2, 0.0)
 
 

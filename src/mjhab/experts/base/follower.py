@@ -223,10 +223,12 @@ def _track(segments: Sequence[PathSegment], lookahead: float) -> PackedPath:
         row[:] = path[-1] - [
             np.interp(arc[-1] - ENDING_M, arc, path[:, k]) for k in range(2)
         ]
+        # A turn on the spot has no direction.
         row /= max(float(np.linalg.norm(row)), 1e-9)
         along.append(arc)
     length = np.array([arc[-1] for arc in along])
     return PackedPath(
+        # numpy joins no empty list.
         np.concatenate([*points, np.zeros((0, 2))]),
         np.concatenate([*along, np.zeros(0)]),
         np.cumsum([0, *map(len, points)]).astype(np.int64),
@@ -254,6 +256,7 @@ def _begin(track: PackedPath, state: np.ndarray, s: int) -> None:
     state[_SEEN] = 0.0
     state[_SEGMENT] = s
     if s < len(track.yaw):
+        # A turn on the spot is at its end from the start.
         state[_AT_END] = track.along[track.first[s + 1] - 1] < ARRIVED_M
         state[_LEFT] = track.budget[s]
 
@@ -288,6 +291,7 @@ def _point(track: PackedPath, s: int, at: float) -> tuple[float, float]:
 def _progress(track: PackedPath, s: int, at: float, x: float, y: float) -> float:
     """Arc length of the point of segment ``s`` nearest to (x, y), searched from arc length ``at`` forwards."""
     length = track.along[track.first[s + 1] - 1]
+    # Forwards alone and not far: a path that comes back near itself must not be cut short.
     reach = min(at + PROGRESS_REACH_M, length) + 1e-9 - at
     best = at
     nearest = np.inf
@@ -295,6 +299,7 @@ def _progress(track: PackedPath, s: int, at: float, x: float, y: float) -> float
         place = at + k * PROGRESS_STEP_M
         px, py = _point(track, s, min(place, length))
         gap = (px - x) ** 2 + (py - y) ** 2
+        # The first of equals, which is the least progress.
         if gap < nearest:
             nearest = gap
             best = place
@@ -328,6 +333,7 @@ def _steer(
         gap_y = track.points[last, 1] - y
         near = np.sqrt(gap_x * gap_x + gap_y * gap_y)
         to_end = track.direction[s] * (gap_x * np.cos(yaw) + gap_y * np.sin(yaw))
+        # An end at the side cannot be driven to, and the base would circle round it.
         if left < ARRIVED_M or (near < BESIDE_M and to_end < 0.5 * near):
             state[_AT_END] = 1.0
     if state[_AT_END] > 0.0:
@@ -335,6 +341,7 @@ def _steer(
         still = abs(rate) < STILL_RAD_S and moved < STILL_M
         turn = STEERING_GAIN * (off - PREVIEW_S * rate)
         return 0.0, turn, abs(off) < TURNED_RAD and still
+    # Shorter near the end, where the heading has to be right.
     lookahead = min(max(0.8 * left, MIN_LOOKAHEAD_M), track.lookahead)
     aim_x, aim_y = _point(track, s, state[_ARC] + lookahead)
     back = 0.0 if track.direction[s] > 0 else np.pi
@@ -365,6 +372,7 @@ def _command(
     while state[_SEGMENT] < segments:
         forward, turn, done = _steer(track, limits.speed, state, x, y, yaw)
         turn = _clipped(turn, -MAX_YAW_RATE_RAD_S, MAX_YAW_RATE_RAD_S)
+        # A base that is blocked must not wait for ever.
         state[_LEFT] -= 1.0
         # Only the last segment has to end exactly: the others pass on to the next when their turn is nearly done.
         passes = state[_SEGMENT] < segments - 1 and forward == 0.0

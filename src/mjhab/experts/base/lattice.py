@@ -98,6 +98,7 @@ class Lattice:
             (
                 np.concatenate([costs, first]),
                 (
+                    # One more node for the start, from which all entries lead at their own cost.
                     np.concatenate([starts, np.full(len(nodes), size)]),
                     np.concatenate([ends, nodes]),
                 ),
@@ -105,6 +106,7 @@ class Lattice:
             shape=(size + 1, size + 1),
         )
         cost, before = dijkstra(graph, indices=size, return_predecessors=True)
+        # The end costs, too: one search compares all places at which the drive may end.
         total = np.asarray(cost)[:size] + price.ravel()
         best = int(np.argmin(total))
         if not np.isfinite(total[best]):
@@ -186,6 +188,7 @@ class Lattice:
                 # The long way round may be free where the short one sweeps the arm through an obstacle.
                 for turn in (short, short - np.copysign(2 * np.pi, short)):
                     cost = pay + abs(turn) / TURN_RATE_RAD_S
+                    # Before the turn is checked, which is the dear part.
                     if node in found and found[node][0] <= cost:
                         continue
                     min_clearance = self.plan.turning(line[-1, :2], float(pose[2]), turn)

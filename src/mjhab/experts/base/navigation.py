@@ -110,6 +110,7 @@ class Planner:
         self.narrow = radius if narrow is None else narrow
         passable = self.clearance >= self.narrow
         lack = np.clip((radius + comfort - self.clearance) / comfort, 0.0, 1.0)
+        # By the square, so that a path keeps its distance only where that costs little.
         price = np.where(self.free, 1.0 + caution * lack**2, NARROW_FACTOR)
         self._graph = grid_graph(passable, self.cell, price=price)
         self._fields = MemoryCache("distance fields", KEPT_SOURCES)
@@ -147,6 +148,7 @@ class Planner:
             nodes.append(int(before[nodes[-1]]))
         cells = np.stack(np.unravel_index(nodes[::-1], self.clearance.shape), axis=1)
         points = self.origin + (cells + 0.5) * self.cell
+        # The ends themselves in place of the middles of their cells.
         points = np.concatenate([entry[None], points[1:-1], goal[None]])
         path = self._pull(points)
         return path if np.allclose(entry, start) else np.concatenate([start[None], path])
@@ -159,7 +161,11 @@ class Planner:
     def costs_to(self, cells: np.ndarray) -> np.ndarray:
         """Cost (nx, ny) of the paths from all cells to the nearest of ``cells`` (nx, ny) bool; inf if none."""
         found = dijkstra(
-            self._graph, directed=False, indices=np.flatnonzero(cells), min_only=True
+            # One search from all of them together.
+            self._graph,
+            directed=False,
+            indices=np.flatnonzero(cells),
+            min_only=True,
         )
         return np.asarray(found).reshape(self.clearance.shape)
 
@@ -178,11 +184,14 @@ class Planner:
         last = len(points) - 1
         while i < last:
             asked = np.minimum(
-                np.minimum.accumulate(own[i:])[1:], self.radius + self.comfort
+                # A short cut may be as tight as the path that it replaces.
+                np.minimum.accumulate(own[i:])[1:],
+                self.radius + self.comfort,
             )
             good = np.flatnonzero(
                 self.line_clearance(points[i], points[i + 1 :]) >= asked - 1e-9
             )
+            # The farthest point in sight; at least the next one, which is a neighbour.
             i += 1 + (int(good[-1]) if len(good) else 0)
             kept.append(i)
         return points[kept]

@@ -142,6 +142,7 @@ def plan_route(
     if base is None:
         return None
     poses = base.poses
+    # First: distances to the boxes of a whole home would take most of the time.
     boxes = within_reach(boxes, np.stack([start[:2], goal[:2]]))
     before = float(robot.clearance(start[None], boxes)[0])
     own = _own_clearance(start, arm, robot)
@@ -158,11 +159,13 @@ def plan_route(
         # While the base drives, it deviates from the prediction: more clearance is asked for.
         asked = np.minimum(
             np.where(some < len(poses) - 1, wish.margin_m + DRIVE_ERROR_M, wish.margin_m),
+            # A robot that stands close to something cannot ask for more than it has.
             before - 0.004,
         )
         clearance = min(own, float((robot.clearance(swept[some], boxes) - asked).min()))
         return Route(base, arm, delay, len(swept), clearance)
 
+    # The quickest: base and arm move together.
     early = at(0.0)
     if early.clearance >= 0.0 or len(poses) == 1:
         return early
@@ -185,6 +188,7 @@ def drive_of(
         return None
     yaw = float(goal[2])
     segment = PathSegment(path, wish.direction or _direction(view.base, path, yaw), yaw)
+    # On a straight line the look-ahead changes nothing.
     few = len(path) == 2 and (wish.straight or wish.limits == UNLIMITED)
     return _smoothest(view, segment, wish.limits, LOOKAHEADS_M[: 1 if few else None])
 
@@ -274,6 +278,7 @@ def follow(
     moving = motion.drives(view, route.segment.points[-1], route.segment.yaw)
     began = 0
     last = view.q
+    # Two seconds more than planned; who is not there then is stuck.
     for step in range(route.steps + 40):
         speed = (0.0, 0.0)
         if step >= route.lead and moving:
@@ -298,6 +303,7 @@ def follow(
             0.25 * (1 + step - min(step, route.delay if route.via is None else began)),
         )
         yield motion.action(view, goal, gripper=gripper, drive=speed, speed=ramp)
+        # In a row: grazing an edge is no reason to give up.
         pressed = pressed + 1 if view.link_forces.sum() > BLOCKED_FORCE_N else 0
         lost = 0 if not held or holds(view, held) else lost + 1
         if pressed >= BLOCKED_STEPS or lost >= LOST_STEPS:
@@ -343,10 +349,12 @@ def _direction(pose: np.ndarray, path: np.ndarray, yaw: float) -> int:
     offset = path[1] - path[0]
     last = path[-1] - path[-2]
     length = float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum())
+    # A drive that short is a turn on the spot.
     if length < 0.03:
         return 1
     first = abs(wrap(np.arctan2(offset[1], offset[0]) - pose[2]))
     turn = float(first + abs(wrap(yaw - np.arctan2(last[1], last[0]))))
+    # Backwards only where it saves a good part of a turn.
     return -1 if length < 1.0 and turn > np.pi + 0.3 else 1
 
 
@@ -422,6 +430,7 @@ def within_reach(boxes: Boxes, offset: np.ndarray) -> Boxes:
     """Boxes that the robot can touch near the straight line between two base positions ``offset`` (2, 2)."""
     middle = offset.mean(axis=0)
     far = float(np.linalg.norm(offset[1] - offset[0])) / 2
+    # At the height of the arm, which reaches 1.35 m from the middle of the base.
     near = boxes.near(np.array([*middle, 0.9]), far + 1.35)
     return near.take(near.center[:, 2] + near.half.max(axis=1) > LOW_HEIGHT_M)
 

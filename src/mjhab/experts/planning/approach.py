@@ -59,6 +59,7 @@ def obstacles(
     )
     boxes = Boxes.join([view.home.boxes, *links])
     places = np.concatenate([view.base[None, :2], goals[:, :2]])
+    # From the floor to above the shoulder: an arm reaches boxes at any of them.
     heights = np.array([0.3, 1.0, 1.6])
     points = np.array([[*place, z] for place in places for z in heights])
     reach = view.robot.reach
@@ -125,6 +126,7 @@ def _cost(view: WorldView, route: Route, door: Boxes | None) -> float:
     return (
         route.steps
         + 400.0 * lack
+        # Also among blocked ones the least blocked comes first.
         + (0.0 if lack < MAX_ROUTE_DEFICIT_M else BLOCKED_PRICE_STEPS + 1e4 * lack)
     )
 
@@ -193,6 +195,7 @@ def let_go(
                 rot=rot,
                 gripper=gripper,
                 speed=speed,
+                # Backwards only: forwards the base would follow the hand into the furniture.
                 drive=(speed * min(along, 0.0), 0.0),
                 tolerance=0.02,
                 angle_tolerance=0.5,
@@ -238,6 +241,7 @@ def retract(
             RouteWish(direction=-1, straight=True),
         )
         if found is not None and (
+            # A longer drive must be worth more than noise.
             best is None or found.clearance > best.clearance + 0.002
         ):
             best = found
@@ -312,6 +316,7 @@ def _funnel(
     for step in range(max_steps):
         here, turn = motion.tcp(view)
         ahead, across, along = rot.T @ (goal - here)
+        # Late in the try a grasp that is a little off is better than none.
         loose = 1.0 if step < max_steps // 2 else 1.5
         if (
             abs(ahead) < 0.014 * loose

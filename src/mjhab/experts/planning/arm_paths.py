@@ -60,6 +60,7 @@ class Free:
             body,
             robot,
             boxes,
+            # From a start that is closer than the margin there would be no path at all.
             min(MARGIN_M, clearance),
             min(SELF_CLEARANCE_M, own),
             min(MARGIN_M + DRIVE_ERROR_M, clearance),
@@ -99,6 +100,7 @@ def arm_path(
     Returns:
         (P, J) configurations with collision-free straight motions between them; None when no path is found.
     """
+    # Here: it takes long to load, and most grasps need no search.
     from ompl import base, geometric, util
 
     # OMPL seeds every generator that it makes after this call from the seed: the same path every time. It logs an
@@ -114,6 +116,7 @@ def arm_path(
     planner.setRange(MAX_EDGE_STEPS)
     planner.setProblemDefinition(problem)
     planner.setup()
+    # Rounds and not seconds: the result must not depend on how fast the machine is.
     left = iter(range(rounds))
     planner.solve(base.PlannerTerminationCondition(lambda: next(left, None) is None))
     if not problem.hasExactSolution():
@@ -169,6 +172,7 @@ def _state(robot: Robot, info: Any, q: np.ndarray) -> Any:
     state = info.allocState()
     for i, value in enumerate(q[ik.columns(robot.chain)] / joint_scale(robot)):
         state[i] = float(value)
+    # Rounding in the scale may leave an end just outside.
     info.enforceBounds(state)
     return state
 
@@ -179,6 +183,7 @@ def _shortened(path: np.ndarray, free: Free) -> np.ndarray:
     at = 0
     while at < len(path) - 1:
         at = next(
+            # From the far end: the first that is free skips most.
             (i for i in range(len(path) - 1, at + 1, -1) if free.edge(path[at], path[i])),
             at + 1,
         )

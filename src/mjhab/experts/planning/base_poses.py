@@ -44,6 +44,7 @@ def exit_clearance(bases: np.ndarray, scene: ReachScene, drive_in: float) -> np.
         for h in half
     ]
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    # Lifted, as the hand lifts it before the drive.
     points = box.center[0] + grid @ box.rot[0].T + np.array([0.0, 0.0, 0.025])
     ahead = np.stack(
         [np.cos(bases[:, 2]), np.sin(bases[:, 2]), np.zeros(len(bases))], axis=1
@@ -78,6 +79,7 @@ def base_poses(view: WorldView, query: ReachQuery) -> tuple[np.ndarray, np.ndarr
             [view.base, *([here[0], here[1], bearing + k] for k in (-0.35, 0.0, 0.35))],
         ]
     )
+    # The present pose counts as near, whatever its distance: it costs no drive.
     far_off = np.append(r.ravel() > FAR_BASE_M, np.zeros(4, bool))
     cells = planner(view)
     back = poses[:, :2] - drive_in * np.stack(
@@ -91,9 +93,12 @@ def base_poses(view: WorldView, query: ReachQuery) -> tuple[np.ndarray, np.ndarr
     good &= floor_clearance(view.robot.footprint, poses, query.scene.near) > 0.0
     if query.avoid is not None and len(query.avoid):
         gap = np.linalg.norm(
-            (poses[:, None] - query.avoid) * [1.0, 1.0, 0.3], axis=2
+            # 0.3 m per radian: a turn counts as little as it moves the hand.
+            (poses[:, None] - query.avoid) * [1.0, 1.0, 0.3],
+            axis=2,
         ).min(axis=1)
         good &= gap > 0.10
+    # Last, as it costs most.
     good[good] = in_sight(poses[good], point, query.scene.near)
     poses = poses[good]
     back = back[good]
@@ -133,9 +138,11 @@ def given_poses(
 def in_sight(poses: np.ndarray, point: np.ndarray, boxes: Boxes) -> np.ndarray:
     """Whether (B,) no wall or tall piece of furniture is between base poses (B, 2+) and ``point`` (3,)."""
     top = boxes.center[:, 2] + np.einsum("kj,kj->k", np.abs(boxes.rot[:, 2]), boxes.half)
+    # What is lower can be reached over.
     tall = boxes.take((top > point[2] + 0.5) & (boxes.half.max(axis=1) > 0.4))
     if not len(poses) or not len(tall):
         return np.ones(len(poses), bool)
+    # Without the ends, which lie in the robot and in the furniture that is worked on.
     share = np.linspace(0.1, 0.9, 8)[:, None, None]
     line = poses[:, :2] + share * (point[:2] - poses[:, :2])
     height = np.full((*line.shape[:2], 1), point[2] + 0.15)
@@ -164,6 +171,7 @@ def floor_clearance(footprint: Footprint, poses: np.ndarray, boxes: Boxes) -> np
 def _spread(poses: np.ndarray, steps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """At most `_BASES` of the quickest poses that differ from each other by more than 9 cm or 0.3 rad."""
     kept: list[int] = []
+    # Stable, so that equal poses keep their order on every machine.
     for i in np.argsort(steps, kind="stable"):
         if len(kept) >= _BASES:
             break

@@ -73,6 +73,7 @@ def inside_depth(view: WorldView, point: np.ndarray) -> float:
     for place in view.home.receptacles:
         if place.kind == "shelf" and -0.05 < point[2] - place.pos[2] < place.height:
             off = np.abs(place.local(point[:2]))
+            # Beyond the edge, too: an object may stand out over it.
             if (off < np.array(place.half) + 0.08).all():
                 return SHELF_DEPTH_M
     return 0.0
@@ -107,6 +108,7 @@ def drive_in(
         Whether the base arrived; False when it is blocked.
     """
     near, slow = FAST_END_M if fast else (0.02, 0.006)
+    # Before the drive: inside there is no room for corrections.
     goal = _lined_up(view, reach, boxes)
     yield from motion.move_joints(
         view, goal, gripper=gripper, tolerance=0.05, max_steps=12
@@ -120,6 +122,7 @@ def drive_in(
         ahead = motion.ahead(heading)
         left = float((goal[:2] - q[BASE_XY]) @ ahead)
         moved = float((q[BASE_XY] - last[:2]) @ ahead)
+        # At rest as well: a base that still rolls would push the hand on.
         if left < near and abs(moved) < slow:
             return True
         pressed = pressed + 1 if view.link_forces.sum() > BLOCKED_FORCE_N else 0
@@ -260,6 +263,7 @@ def plan_home(
     """A collision-free route to the rest pose with the shortest drive backwards, else the one with the most clearance;
     None when there is none."""
     others, target = surroundings(view, obj, view.tcp_pose[:3])
+    # An object that was put down is an obstacle like others.
     boxes = others if holding else type(others).join([others, target])
     now = view.q
     goal = motion.rest_goal(view)
@@ -274,6 +278,7 @@ def plan_home(
         route = plan_route(view, end, goal, robot, boxes, wish)
         if route is None:
             continue
+        # The first is the one with the shortest drive.
         if route.clearance >= 0.0:
             return route
         if best is None or route.clearance > best.clearance:

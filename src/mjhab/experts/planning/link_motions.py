@@ -121,6 +121,7 @@ def cached(
 ) -> LinkMotions:
     """The motions of a job on a link, searched for on first use with the link in its plan frame, and kept on disk."""
     height = float(link.origin[2])
+    # By value and not by name: copies of a cupboard in all homes share one search.
     key = (robot, link.spec, height, job)
     if key not in _FOUND:
         plain = JointedLink(link.id, link.spec, np.array([0.0, 0.0, height]), np.eye(3))
@@ -246,6 +247,7 @@ def _first_configurations(
     )
     q = ik.unwind(robot, found.q, rest).reshape(-1, robot.size)
     row = np.repeat(np.arange(len(paths.base)), tries)
+    # Exactly: unwinding may have moved the yaw by whole turns.
     q[:, BASE] = paths.base[row, 0]
     ok = found.ok.reshape(-1)
     q = q[ok]
@@ -268,9 +270,11 @@ def _next_configurations(
         body.rest.copy(),
         paths.mode,
     )
+    # From the last way point a few iterations are enough, and no pull to rest leads off the path.
     options = ik.Options(iterations=15, rest_gain=0.0)
     step = ik.solve(body.chain, goals, now[:, None], options)
     q = step.q[:, 0]
+    # A large change between near way points is another branch of the inverse kinematics, which the arm cannot follow.
     jump = np.abs(q[:, BASE.stop :] - now[:, BASE.stop :]).max(axis=1, initial=0.0)
     return q, step.ok[:, 0] & (jump < MAX_JUMP_RAD)
 
@@ -281,6 +285,7 @@ def _soonest(body: Robot, path: list[np.ndarray], row: np.ndarray) -> LinkMotion
     dofs = ik.columns(robot)
     travel = ik.travel_steps(robot, body.rest, path[0], dofs)
     back = ik.travel_steps(robot, body.rest, path[-1], dofs)
+    # Sorted by path and then by steps, so that the first of each path is its best.
     order = np.lexsort((travel + back, row))
     _, first = np.unique(row[order], return_index=True)
     chosen = order[first]
@@ -349,6 +354,7 @@ def rank(
         steps
         + motion_steps(view.robot.chain, placements.q)
         + placements.back
+        # A decimetre that lacks costs 30 control steps.
         + 300.0 * np.maximum(COMFORT_CLEARANCE_M - clearance, 0.0)
     )
     order = np.argsort(cost, kind="stable")

@@ -52,6 +52,7 @@ class LinkPath:
     @cached_property
     def _rising(self) -> tuple[np.ndarray, np.ndarray]:
         """Joint values (K,) and configurations (K, J) in rising order of the values."""
+        # A closing path falls, and the search wants rising values.
         order = np.argsort(self.values)
         return self.values[order], self.q[order]
 
@@ -80,6 +81,7 @@ def action(
     """
     wish = path.at(aim)
     pos, rot = path.hand_at(aim)
+    # The speed that the path itself has here, so that the base does not lag behind.
     moved = path.at(aim + step)[:2] - wish[:2]
     speed = float(moved @ motion.ahead(view.base[2])) / STEP_SECONDS
     drive = approach.base_towards(view, wish, speed)

@@ -188,6 +188,7 @@ def _configurations(
     dofs = ik.columns(robot)
     seeds = np.repeat(_seeds(body)[None], len(bases), axis=0)
     seeds[:, :, BASE] = bases[:, None]
+    # The present posture first: what is near it takes least time.
     seeds[:, 0, BASE.stop :] = now[BASE.stop :]
     options = ik.Options(iterations=25, pos_tolerance=2e-3, rot_tolerance=2e-2)
     found = ik.solve(
@@ -206,10 +207,12 @@ def _configurations(
         0.0, 0.9 - np.abs(q[..., body.elbow_column])
     )
     cost = np.where(found.ok, cost, np.inf).ravel()
+    # Cheapest first, and no more than can be checked in time.
     order = np.argsort(cost, kind="stable")[:300]
     order = order[np.isfinite(cost[order])]
     q = q.reshape(-1, q.shape[-1])[order]
     goal = np.repeat(goal, seeds.shape[1])[order]
+    # Clearances are checked with the hand as open as it will be.
     fingers = np.minimum(goals.opening[goal] / 2, body.finger_max)
     q[:, body.columns.fingers] = fingers[:, None]
     return q, goal
@@ -304,6 +307,7 @@ def _routed(
         back = float(motion.steps_home(view.robot, placement.at))
         return placement.route.steps + query.home * back
 
+    # One that is tight at most: trying several costs the time of the episode.
     return sorted(clear, key=steps) or tight[:1]
 
 
@@ -326,6 +330,7 @@ def settle_reach(
     robot = view.robot.chain
     torso = list(view.robot.torso_columns)
     arm = ik.columns(robot, torso=False)
+    # The torso only where the arm alone does not reach: it is slow.
     for free in (arm, ik.columns(robot)):
         seed = np.stack([placement.pre, placement.at])
         seed[:, BASE] = view.base

@@ -46,6 +46,7 @@ def tipped(shape: ObjectShape, rot: np.ndarray) -> np.ndarray:
         shape: shape of the object.
         rot: (3, 3) orientation at the release.
     """
+    # It rolls and does not tip.
     if shape.kind == "sphere":
         return np.zeros(3)
     turn = rot
@@ -55,6 +56,7 @@ def tipped(shape: ObjectShape, rot: np.ndarray) -> np.ndarray:
         yaw = np.arctan2(-rot[2, 1], -rot[2, 0])
         turn = rot @ mat_from_rotation_vector(np.array([[0.0, 0.0, yaw]]))[0]
     down = -turn[2]
+    # Rounding would choose a side of an object that stands straight.
     down = np.where(np.abs(down) < 1e-9, 0.0, down)
     side = int(np.argmax(np.abs(down) / half))
     lowest = turn @ (np.sign(down) * half)
@@ -155,11 +157,13 @@ def drawn_back(
         & (clearance[1:] > min(DRAW_BACK_CLEARANCE_M, clearance[0] - 0.004))
         & (gap[1:] > gap[0] - 0.004)
     )
+    # A spot counts only if all before it on the line are free.
     fine = np.logical_and.accumulate(fine.reshape(len(directions), -1), axis=1)
     free = fine & (gap[1:].reshape(fine.shape) > FREE_CLEARANCE_M)
     far = fine.sum(axis=1) - 1
     spots = spots.reshape(len(directions), -1, 3)
     if free.any():
+        # The nearest spot that is far enough away.
         far = free.argmax(axis=1)
         chosen = int(free.any(axis=1).argmax())
     else:

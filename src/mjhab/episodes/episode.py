@@ -74,6 +74,7 @@ def episode_of(
     content: dict[str, Any], task: str, split: str, seed: int, index: int
 ) -> Episode:
     """Return the episode of plain data, see `episode_content`."""
+    # The shape keeps an episode without objects an array of rows.
     pose = np.array(content["object_pose"], dtype=np.float64).reshape(-1, 7)
     link_q = np.array(content["link_q"], dtype=np.float64)
     targets = tuple(_target(entry) for entry in content["targets"])
@@ -92,5 +93,6 @@ def _target(entry: dict[str, Any]) -> Target:
 
 
 def _point(row: Sequence[float]) -> Vec3:
+    # Lists of JSON become tuples, because targets are compared and hashed.
     x, y, z = row
     return (x, y, z)

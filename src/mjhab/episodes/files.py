@@ -66,6 +66,7 @@ class FinishedEpisode:
 def state_hash(episode: HabEpisode) -> str:
     """Return the hash of scene, object poses, joint positions and goals of an episode, to compare machines."""
     row = to_json(episode)
+    # Of the rounded numbers of the file, so that the last bits of the arithmetic do not count.
     stated = json.dumps({name: row[name] for name in _STATE_FIELDS}, sort_keys=True)
     return hashlib.sha256(stated.encode()).hexdigest()[:16]
 
@@ -108,6 +109,7 @@ class Factory:
             episode.home,
             rejected,
             state_hash(hab),
+            # NaN is no JSON: other readers of the format would refuse the whole file.
             json.dumps(to_json(hab), allow_nan=False),
         )
 
@@ -137,6 +139,7 @@ def make_file(
     if out.exists() and not overwrite:
         raise fault(out, "exists; add --overwrite, or choose another --out.")
     factory = Factory(recipe)
+    # The header is compared as a whole: a run is resumed only for the same recipe, assets and code.
     header = {"format": FORMAT, **asdict(recipe), "pack": factory.maker.digest}
     header |= stage_of(recipe.assets)
     out.parent.mkdir(parents=True, exist_ok=True)
@@ -149,12 +152,14 @@ def make_file(
     with naming_file(partial), partial.open("a", encoding="utf-8") as log:
         for row in _rows(factory, missing, workers):
             log.write(json.dumps(asdict(row)) + "\n")
+            # Every finished episode counts after a crash, and making one takes far longer than writing it.
             log.flush()
             rows.append(row)
             done += 1
             rejected = rejected + row.rejected
             tell(done, rejected)
     write_rows(out, {"config": None}, (row.text for row in rows))
+    # The log is deleted last: if writing fails, nothing made is lost.
     _write_manifest(out, header, rows)
     partial.unlink()
     return {"episodes": done, "rejected": rejected}
@@ -194,6 +199,7 @@ def _resume(
             "was left by a run with other options, assets or code; finish that run, delete the file, or "
             "add --overwrite.",
         )
+    # Written anew, so that what is appended does not follow a torn last line.
     kept = [json.dumps(header), *(json.dumps(asdict(row)) for row in rows)]
     write_text(partial, "\n".join(kept) + "\n")
     return rows
@@ -208,14 +214,17 @@ def _parsed(line: str) -> dict[str, Any] | None:
 
 def _rows(factory: Factory, indices: range, workers: int) -> Iterator[FinishedEpisode]:
     """Yield rows in the order of ``indices``; they do not depend on the number of workers."""
+    # Starting processes takes longer than a few episodes do.
     if workers == 1 or len(indices) <= _CHUNK:
         yield from map(factory.row, indices)
         return
+    # A forked process would share the locks and the threads of numba and MuJoCo.
     context = multiprocessing.get_context("spawn")
     pool = ProcessPoolExecutor(workers, context, _start_worker, (factory.recipe,))
     try:
         yield from pool.map(_work, indices, chunksize=_CHUNK)
     finally:
+        # Without this an interrupt would first finish everything that is queued.
         pool.shutdown(wait=True, cancel_futures=True)
 
 

@@ -78,6 +78,7 @@ class EpisodeMaker:
             if home
             else homes_of(self.layout.pack, split)
         )
+        # Homes that are named are visited one after the other, so that each of them occurs.
         self._in_turn = bool(home)
         require_furniture(self.layout.pack, self.homes, task)
         self._require_objects()
@@ -109,8 +110,10 @@ class EpisodeMaker:
             path, lambda file: read_episode(file, self.task, self.split, seed, index)
         )
         if found is None:
+            # The number of draws is not kept: it is of interest only while files are made.
             found, _ = self.make(seed, index)
             write_episode(path, found)
+        # Said for cached episodes, too: else only the first run would tell.
         for home in found.skipped_homes:
             self._tell_skipped(home)
         return found
@@ -162,12 +165,14 @@ class EpisodeMaker:
         rng = stream(seed, "episode", self.task, self.split, index, attempt)
         receptacles = placed_receptacles(self.layout, home)
         roles = roles_of(self.layout.pack, home)
+        # A copy, as objects are placed into it; those of no use stay parked.
         poses = self.layout.parked_poses.copy()
         standing = standing_on(self.layout, home)
         draw = Draw(home, roles, receptacles, {}, poses, standing)
         targets = self._placer.place_targets(rng, draw)
         if targets is None or not self._placer.place_clutter(rng, draw, targets):
             return None
+        # The initial state belongs to the model, which all draws share.
         qpos = self.sim.model(home.name).qpos0.copy()
         a = self.sim.addresses
         qpos[a.object_q[:, None] + np.arange(7)] = draw.pose
@@ -178,6 +183,7 @@ class EpisodeMaker:
         pose = settled[a.object_q[:, None] + np.arange(7)]
         if (
             speed > MAX_SPEED
+            # Still objects may have fallen from where they were placed.
             or np.linalg.norm(pose[:, :3] - draw.pose[:, :3], axis=1).max() > MAX_DRIFT
         ):
             return None
@@ -200,6 +206,7 @@ class EpisodeMaker:
         else:
             rng = stream(seed, "home", self.task, self.split, index)
             first = int(rng.integers(count))
+        # Round the list and not at random, so that a neighbour takes over whatever the stream gives.
         return (self.homes[(first + k) % count] for k in range(count))
 
     # -- cache -----------------------------------------------------------------------------------------------------
@@ -208,6 +215,7 @@ class EpisodeMaker:
     def digest(self) -> str:
         """Hash of what an episode depends on besides (task, split, seed, index): homes, objects and compiling code,
         roles of the furniture, rules of the task."""
+        # The homes are in the digest themselves: of the hash only what all of them share is needed.
         shared = home_hash(self.layout, self.homes[0])
         roles = self.layout.pack.roles
         # What a chain makes of a target is not part of the episode.

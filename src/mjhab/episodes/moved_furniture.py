@@ -52,6 +52,7 @@ def with_moved_furniture(
     A version in which nothing can be moved is left out. Equal arguments give the same object while the pack is held.
     """
     wanted = tuple(shifts)
+    # The same pack, so that nothing else is compiled or hashed anew.
     if not wanted:
         return pack
     key = ("moved furniture", tuple(homes), wanted)
@@ -96,6 +97,7 @@ def is_possible(pack: Pack, home: Home, version: Home, things: Things) -> bool:
     """
     pairs = moved_pieces(home, version)
     areas = [_area(after, pack) for _, after in pairs]
+    # Nobody handles the others, but a moved piece must not stand in them either.
     every = np.concatenate([things.handled, things.others])
     low = [_around(place[:2]) for place in every if place[2] < LOW_M]
     if any(meet(area.corners, square, NEAR_M) for area in areas for square in low):
@@ -103,6 +105,7 @@ def is_possible(pack: Pack, home: Home, version: Home, things: Things) -> bool:
     if any(standing(before, pack, things.handled).any() for before, _ in pairs):
         return False
     key = ("moved furniture opens", version.name)
+    # In a tuple, since a cached False must differ from nothing cached.
     opens = pack.derived.get(key, lambda: (_opens(pack, version, areas),))[0]
     places = np.concatenate([things.handled[:, :2], things.handles])
     return opens and _leads(pack, home, version, places)
@@ -144,12 +147,14 @@ def _leads(pack: Pack, home: Home, version: Home, places: np.ndarray) -> bool:
     """Whether the base comes as near to places (P, 2) [m] as before, and nearly everywhere else."""
     before_map, after_map = (shared_map(each, pack) for each in (home, version))
     before_free, after_free = before_map.navigable(), after_map.navigable()
+    # The largest piece of free floor counts: a narrow gap that closes would cut rooms off.
     if after_free.sum() < LEAST_FLOOR * before_free.sum():
         return False
     old, new = (
         _nearest(space.to_xy(np.argwhere(free)), places)
         for space, free in ((before_map, before_free), (after_map, after_free))
     )
+    # Some tolerance, because the maps have cells.
     return bool((new <= old + FARTHER_M).all())
 
 
@@ -160,6 +165,7 @@ def _nearest(cells: np.ndarray, places: np.ndarray) -> np.ndarray:
 
 def _around(place: np.ndarray) -> np.ndarray:
     """A small square (4, 2) [m] around a place (2,)."""
+    # A polygon of no size would have no sides to separate.
     return place + 1e-3 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
 
 
@@ -167,6 +173,7 @@ def _extended(pack: Pack, homes: Sequence[str], shifts: Sequence[float]) -> Pack
     found: list[Home] = []
     for name in homes:
         home = pack.homes_by_name[name]
+        # Once per home: all its versions begin with the same furniture.
         solids = _solids(home, pack)
         loose = _loose(home, pack)
         for shift in shifts:
@@ -201,8 +208,10 @@ def _version(
     props = list(home.props)
     now = list(solids)
     for k in loose:
+        # A stream per piece, so that a piece that finds no room does not change where others go.
         random = stream(0, "moved furniture", home.pack, name, k)
         around = [solid for n, each in enumerate(now) if n != k for solid in each]
+        # A piece that fits nowhere stays, which is no error: others are moved.
         for _ in range(_TRIES):
             length = shift * random.uniform(_LEAST_SHARE, 1.0)
             angle = random.uniform(-np.pi, np.pi)
@@ -226,6 +235,7 @@ def _loose(home: Home, pack: Pack) -> list[int]:
     found = []
     for k, at in enumerate(home.props):
         prop = pack.props[at.template]
+        # Rugs and what lies tilted would not look moved, or would not stand.
         if not prop.blocks_base or at.quat is not None:
             continue
         if not any(geom.collide for geom in prop.geoms):
@@ -240,6 +250,7 @@ def _loose(home: Home, pack: Pack) -> list[int]:
         on_it = (
             meet(area.corners, _around(np.array(other.pos[:2])))
             for other in home.props
+            # What stands on a piece is a piece of its own, and would be left in the air.
             if other is not at and other.pos[2] > FLOOR_M
         )
         if not any(on_it):

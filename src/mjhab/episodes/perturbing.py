@@ -54,6 +54,7 @@ class EpisodePerturber:
         self._robot = starts.layout.robot
         plan = starts.config.perturbations
         self._plan = plan
+        # Looked at once: most environments perturb nothing, and must not pay for it in each episode.
         hooks = {hook for axis in plan.axes for hook in axis.hooks}
         self._of_furniture = "furniture" in hooks
         self._of_objects = "objects" in hooks
@@ -61,6 +62,7 @@ class EpisodePerturber:
 
     def objects(self, episode: Episode) -> Episode:
         """The episode with its home and objects perturbed; the same one if nothing is asked for."""
+        # Furniture first, because distractors are put where the objects then stand.
         if self._of_furniture:
             for drawn in self._drawn(episode, "furniture"):
                 episode = self._moved(episode, drawn)
@@ -89,6 +91,7 @@ class EpisodePerturber:
             version_name(home.name, shift, number) for number in range(MOVES_PER_HOME)
         ]
         known = [name for name in names if name in homes]
+        # Drawn, else the first version of a home would take most of its episodes.
         order = drawn.stream("furniture").permutation(len(known)).tolist()
         things = self._things(episode, home)
         refused = 0
@@ -109,6 +112,7 @@ class EpisodePerturber:
     def _things(self, episode: Episode, home: Home) -> Things:
         """What the furniture of an episode's home must leave in place."""
         layout = self._starts.layout
+        # In a chain all targets are handled sooner or later.
         targets = _handled(self._starts, episode) or episode.targets
         names = {target.obj for target in targets}
         is_target = np.array([name in names for name in layout.object_names])
@@ -154,12 +158,14 @@ def _first(
         found = called(drawn.axis, hook, drawn, scene, attempt)
         if found is not None:
             values, told = found
+            # A plugin may return anything, which would fail much later in the simulator.
             values = np.asarray(values, np.float64)
             if values.shape != shape or not np.isfinite(values).all():
                 raise fault(
                     PERTURBATIONS.described(drawn.axis),
                     f"{hook} must return finite numbers {shape}, got {values.shape}.",
                 )
+            # Said in the record: many refusals bend the distribution that was asked for.
             return values, {**told, "redrawn": attempt}
     return None, {"redrawn": MAX_DRAWS, "kept": True}
 
@@ -170,6 +176,7 @@ def _handled(starts: StartMaker, episode: Episode) -> tuple[Target, ...]:
         return ()
     plan = chain(episode.task, episode.targets, episode.home)
     obj = plan.subtasks[starts.position_of(plan, episode)].obj
+    # Open and Close are about a link, which no target names as its object.
     return tuple(target for target in episode.targets if target.obj == obj)
 
 
@@ -195,6 +202,7 @@ class _RobotMoves:
         if carried >= 0:
             own = slice(int(a.object_q[carried]), int(a.object_q[carried]) + 7)
             hand = scratch.tcp_pose(start.home, start.qpos)
+            # From before the move: relative to the hand the object stays where it is.
             in_hand = pose_mul(pose_inv(hand), start.qpos[own])
             qpos[own] = pose_mul(scratch.tcp_pose(start.home, qpos), in_hand)
         free = scratch.collision_free(start.home, qpos, carried)
@@ -203,6 +211,7 @@ class _RobotMoves:
     def _within_limits(self, joints: np.ndarray) -> np.ndarray:
         low, high = np.array(self.robot.joint_limits).T
         own = list(self.robot.arm_columns)
+        # Only the arm: the base has no limits, and a rest position at a limit would leave it.
         joints[own] = np.clip(joints[own], low[own], high[own])
         return joints
 
@@ -249,15 +258,18 @@ class _Objects:
         """See `ObjectScene.beside_target`."""
         layout = self._starts.layout
         home = self._starts.home(self._episode.home)
+        # Plain numbers compare faster than numpy's, one by one.
         point: tuple[float, float, float] = tuple(self._point.tolist())
         place = receptacle_below(point, placed_receptacles(layout, home))
         if place is None:
             return None
         standing = standing_on(layout, home).get(place.id, ())
         pose = self._episode.object_pose.copy()
+        # Distractors that are about to be moved are in nobody's way.
         apart = {*range(len(pose))} - {*slots}
         there = [(pose[k, :3], self._radii[k]) for k in sorted(apart)]
         goals = {target.obj: target.goal_pos for target in self._episode.targets}
+        # A goal must stay free, or a Place could not succeed.
         there += [
             (np.array(goal), self._radii[layout.object_names.index(obj)])
             for obj, goal in goals.items()
@@ -277,6 +289,7 @@ class _Objects:
                     and 2.0 * half_z + 0.02 <= place.height
                     and clear_of(standing, at, radius + 0.5 * gap)
                     and all(
+                        # Objects on other shelves are near only as seen from above.
                         abs(p[2] - at[2]) > ABOVE_M
                         or np.hypot(*(p[:2] - at[:2])) > r + radius + gap
                         for p, r in there
@@ -287,6 +300,7 @@ class _Objects:
             else:
                 return None
             there.append((at, radius))
+            # A millimetre above: in contact at once, rounding could make it start inside the surface.
             pose[slot, :3] = at + np.array([0.0, 0.0, 0.001])
             pose[slot, 3:] = yaw_quat(float(random.uniform(-np.pi, np.pi)))
         return self._at_rest(pose)
@@ -298,6 +312,7 @@ class _Objects:
         qpos = sim.model(self._episode.home).qpos0.copy()
         columns = a.object_q[:, None] + np.arange(7)
         qpos[columns] = pose
+        # Objects may stand in an open drawer.
         qpos[a.link_q] = self._episode.link_q
         settled, speed = settle(sim.model(self._episode.home), a, qpos)
         drift = np.linalg.norm(settled[columns][:, :3] - pose[:, :3], axis=1)

@@ -102,9 +102,11 @@ class Placer:
         """Return the slot of each target: that of the rule's object, or a random one, see `_drawn`."""
         rules = self.spec.targets
         named = {rule.object for rule in rules if rule.object}
+        # Clutter comes first in a roster, so that of several of a type the last one is the task's own.
         last = {kind: slot for slot, kind in enumerate(self.layout.roster)}
         free = [slot for slot, kind in enumerate(self.layout.roster) if kind not in named]
         count = sum(not rule.object for rule in rules)
+        # Without a need for it nothing is drawn, so that the stream of other tasks stays as it is.
         drawn = self._drawn(rng, free, count) if count else []
         return [last[rule.object] if rule.object else drawn.pop(0) for rule in rules]
 
@@ -124,6 +126,7 @@ class Placer:
             tuple[int, TargetRule, list[PlacedReceptacle], list[PlacedReceptacle]]
         ],
     ) -> tuple[Target, ...] | None:
+        # All starts before the first goal: a goal must be clear of every object.
         starts: list[PlacedReceptacle] = []
         for slot, _, places, _ in wanted:
             put = self._put(rng, draw, slot, places, draw.target_gap(places[0]))
@@ -180,7 +183,9 @@ class Placer:
         if 2 * half_z + 0.02 > place.height:
             return None
         ratio = self.spec.shelf_region if draw.on_shelf(place) else 1.0
+        # The centre of an object that barely fits is in the middle.
         room = ratio * np.maximum(np.array(place.half) - radius - 0.01, 0.0)
+        # The bounding circle is larger than the object: a place somewhat smaller may still do.
         if min(place.half) < radius * 0.75:
             return None
         u, v = rng.uniform(-room, room)
@@ -196,6 +201,7 @@ class Placer:
     ) -> PlacedReceptacle | None:
         radius = self.radius(slot)
         half_z = self.layout.objects[slot].half[2]
+        # By area, so that a draw is uniform over all surfaces together.
         weights = np.array([4 * r.half[0] * r.half[1] for r in places])
         for _ in range(_CROWDED_TRIES if draw.standing else _TRIES):
             place = places[int(rng.choice(len(places), p=weights / weights.sum()))]
@@ -241,6 +247,7 @@ class Placer:
         if not clear_of(draw.standing.get(place.id, ()), pos, radius + THING_SHARE * gap):
             return False
         return all(
+            # More than a shelf apart in height they cannot meet.
             abs(p[2] - pos[2]) > 0.35 or np.hypot(*(p[:2] - pos[:2])) > r + radius + gap
             for p, r in draw.placed.values()
         )

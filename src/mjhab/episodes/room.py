@@ -20,8 +20,10 @@ def room_for_tasks(pack: Pack, homes: Sequence[Home]) -> Iterator[tuple[str, str
     """
     for task in TASKS:
         objects = roster(task)
+        # Such a task cannot be asked for in this pack, whatever its rooms.
         if not set(objects) <= set(pack.objects):
             continue
+        # One per task, since the objects are part of the compiled model.
         sim = CpuSimulator(Layout(pack, objects), 1, 1)
         for home in homes:
             yield task, home.name, _refusal(sim, task, home)

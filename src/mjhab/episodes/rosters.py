@@ -33,4 +33,5 @@ def object_roster(config: EnvConfig, pack: Pack) -> tuple[str, ...]:
     """
     found = (*roster(config.task), *config.extra_objects)
     target = config.target
+    # A target may also be the id of a link, which is no object.
     return (*found, target) if target in pack.objects and target not in found else found

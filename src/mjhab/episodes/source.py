@@ -51,6 +51,7 @@ def open_setting(config: EnvConfig) -> Setting:
     """
     pack = _with_versions(open_pack(config.assets), config)
     file = read_hab(Path(config.episodes_file)) if config.episodes_file else None
+    # A file needs its own objects, of each type the most in any episode.
     objects = file_roster(file, pack) if file else object_roster(config, pack)
     robot = robot_named(config.robot)
     layout = Layout(pack, objects, robot, config.joint_dynamics)
@@ -99,6 +100,7 @@ class EpisodeSource:
         self.config = config
         self.task_config = task_config
         self.layout = sim.layout
+        # A link as target does not change which objects are drawn.
         wanted = config.target if config.target in self.layout.roster else ""
         self._arrangements = (
             FileEpisodes(sim, file, config.task, config.home, wanted)
@@ -125,6 +127,7 @@ class EpisodeSource:
         self, wanted: Sequence[tuple[int, int]], threads: int = 1
     ) -> list[Episode]:
         """Return the episodes of several (seed, index); they do not depend on ``threads``."""
+        # Threads cost more than they save where the pool already has everything.
         new = [names for names in wanted if self._pool_key(*names) not in self._pool]
         if min(threads, len(new)) <= 1:
             return [self.episode(*names) for names in wanted]
@@ -137,6 +140,7 @@ class EpisodeSource:
         if not self._pool_size:
             return None
         drawn = stream(seed, "pool", index).integers(self._pool_size)
+        # The seed of the configuration: otherwise every seed would have a pool of its own.
         return self.config.seed, int(drawn)
 
     def _clean(self, seed: int, index: int) -> Episode:
@@ -145,6 +149,7 @@ class EpisodeSource:
         if key is None:
             return (self.starts.spawn_set or self._arrangements).episode(seed, index)
         found = self._pool.get(key, lambda: self._arrangements.episode(*key))
+        # The names of the episode that was asked for, as they seed the spawn.
         return dataclasses.replace(found, seed=seed, index=index)
 
     def start(self, episode: Episode) -> Start:

@@ -75,6 +75,7 @@ class SpawnFactory:
     def episode(self, index: int) -> Episode:
         """Return the episode of start ``index``."""
         recipe = self.recipe
+        # A pool, because settling takes longer than finding a spawn.
         arrangement = self.episodes.episode(
             recipe.seed, index % recipe.pool if recipe.pool else index
         )
@@ -97,6 +98,7 @@ class SpawnFactory:
 
     def header(self) -> dict[str, Any]:
         """Return the header of the file, see `spawn_sets.header_of`."""
+        # The grasps decide the starts only where the robot may hold something.
         kinds = sorted(set(self.layout.roster)) if self._may_hold else []
         library = self.starts.arms if self.starts.published else self.starts.held
         return header_of(
@@ -137,6 +139,7 @@ def make_set(
     header = factory.header()
     folder = partial_folder(out)
     if not folder.exists():
+        # Before hours of work: the size of one start tells that of all.
         check_size(pack_rows([factory.row(0)]), recipe.count)
     _resume(folder, header, overwrite)
     parts: list[dict[str, np.ndarray]] = []
@@ -144,16 +147,19 @@ def make_set(
     with ThreadPoolExecutor(threads) as pool:
         for first in range(0, recipe.count, CHUNK):
             path = folder / f"{first:08d}{SPAWNS_SUFFIX}"
+            # Partial files are written atomically: one that exists is complete.
             if not path.exists():
                 rows = list(
                     pool.map(factory.row, range(first, min(first + CHUNK, recipe.count)))
                 )
                 write(path, header, pack_rows(rows))
+            # Read back even if just made, so that a resumed run gives the same bytes.
             parts.append(SpawnSet.read(path).columns)
             done = done + len(parts[-1]["home"])
             fallbacks = fallbacks + int(parts[-1]["fallback"].sum())
             tell(done, fallbacks)
     made = write(out, header, join(parts))
+    # Only once the whole set is on disk.
     _clear(folder)
     return made
 
@@ -165,6 +171,7 @@ def _resume(folder: Path, header: dict[str, Any], overwrite: bool) -> None:
         UsageError: the files are of another recipe, and ``overwrite`` is not set.
     """
     note = folder / "header.json"
+    # Sorted, because it is compared as text.
     text = json.dumps(header, sort_keys=True)
     if note.exists() and note.read_text(encoding="utf-8") != text:
         if not overwrite:
@@ -181,5 +188,6 @@ def _clear(folder: Path) -> None:
     """Delete the partial files in a folder, and the folder itself if it is then empty."""
     for file in (*folder.glob(f"[0-9]*{SPAWNS_SUFFIX}"), folder / "header.json"):
         file.unlink(missing_ok=True)
+    # Somebody may keep other files there.
     if not any(folder.iterdir()):
         folder.rmdir()

@@ -137,6 +137,7 @@ class SpawnRow:
 def layout_digest(layout: Layout) -> str:
     """Return the hash of a layout's homes, objects, robot and compiling code; starts are valid where it is equal."""
     homes = layout.pack.homes
+    # The first home stands for what all share: objects, robot and code.
     return hashlib.sha256(
         repr((home_hash(layout, homes[0]), homes)).encode()
     ).hexdigest()[:16]
@@ -198,6 +199,7 @@ def check_size(columns: dict[str, np.ndarray], count: int) -> None:
     """
     rows = len(columns["home"])
     row_bytes = sum(column.nbytes for column in columns.values()) / rows
+    # A set that its reader refuses must not be made.
     fitting = int(_MAX_COLUMNS_BYTES / row_bytes)
     if count > fitting:
         raise UsageError(
@@ -213,6 +215,7 @@ def write(path: Path, header: dict[str, Any], columns: dict[str, np.ndarray]) ->
         UsageError: it is larger than `MAX_SET_MB`.
     """
     check_size(columns, len(columns["home"]))
+    # The digest is of the header without it.
     header = {**header, "digest": content_digest(header, columns)}
     text = np.array(json.dumps(header))
     write_atomic(
@@ -235,6 +238,7 @@ def content_digest(header: dict[str, Any], columns: dict[str, np.ndarray]) -> st
     )
     for name in _COLUMNS:
         digest.update(
+            # Type and shape as well: the same bytes could be read as another array.
             repr((name, columns[name].dtype.str, columns[name].shape)).encode()
             + columns[name].tobytes()
         )
@@ -250,6 +254,7 @@ def _read_header(text: str) -> dict[str, Any]:
     header = parse_json(text)
     if not isinstance(header, dict) or header.get("format") != FORMAT:
         raise ValueError(f"its format is not {FORMAT}")
+    # Field by field, so that a message names the one that is wrong.
     for name, kind in _HEADER.items():
         read_record(kind, header.get(name), f"header.{name}")
     recipe = header["recipe"]
@@ -261,6 +266,7 @@ def _read_header(text: str) -> dict[str, Any]:
     )
     if not isinstance(recipe.get("assets", ""), str | dict):
         raise ValueError("header.recipe.assets: expected a name or an object.")
+    # Seeds are hashed as natural numbers; a negative one would fail at the first draw.
     if recipe["seed"] < 0:
         raise ValueError(
             f"header.recipe.seed: expected a number from 0, got {recipe['seed']}."
@@ -300,6 +306,7 @@ def _check_content(columns: dict[str, np.ndarray]) -> None:
             raise ValueError(f"column {name!r} is {column.dtype}.")
         if column.dtype.kind == "f" and not np.isfinite(column).all():
             raise ValueError(f"column {name!r} has numbers that are not finite.")
+    # Names reach file names and the terminal, and a file may come from anywhere.
     for name in set(columns["home"].tolist()):
         check_name("column 'home'", name)
     for name in set(columns["targets"].ravel().tolist()):
@@ -368,6 +375,7 @@ class SpawnSet:
             header = _read_header(str(data["header"]))
             columns = {name: data[name] for name in _COLUMNS}
             stated = header.pop("digest")
+            # Before the content is looked at: a torn file is to be called torn.
             if content_digest(header, columns) != stated:
                 raise ValueError("its content is not what its header says")
         with about(path, advice="Make it again."):
@@ -384,6 +392,7 @@ class SpawnSet:
         found = cls.read(path)
         made_for = found.recipe.robot
         robot = layout.robot.name
+        # Compared first, as the digest of the layout would differ for a reason that the user could not see.
         if made_for != robot:
             raise fault(
                 path,
@@ -499,6 +508,7 @@ class SpawnSet:
             rows["link_q"][k],
             self._targets(k),
         )
+        # The caller changes it.
         qpos = rows["qpos"][k].copy()
         return SpawnRow(
             episode,

@@ -204,6 +204,7 @@ class SpawnSampler:
         close = goal.allows(cells, slack=1.0)
         cells = cells[close] if close.any() else cells
         center = cells.mean(axis=0) if goal.center is None else goal.center
+        # Every n-th cell: a check of collisions for each one would take seconds.
         order = np.argsort(np.linalg.norm(cells - center, axis=1), kind="stable")[
             :: max(1, len(cells) // 200)
         ]
@@ -211,6 +212,7 @@ class SpawnSampler:
             found = self.at(home, qpos, xy, goal, held)
             if found is not None:
                 return found
+        # An episode must begin somehow: a fallback is told by its flag.
         best = self._roomiest(home, cells)
         return self._pose(
             home,
@@ -249,6 +251,7 @@ class SpawnSampler:
             return None
         cell = candidates[int(rng.integers(len(candidates)))]
         xy = cell + noise
+        # The map has cells: two centimetres of slack, as the simulator has the last word on collisions.
         if self.map(home).clearance_at(xy) < self._radius - 0.02 or not goal.allows(
             xy, goal.slack
         ):
@@ -256,6 +259,7 @@ class SpawnSampler:
         if goal.face is None:
             return np.array([*xy, rng.uniform(*goal.yaw)])
         if goal.published:
+            # The original takes the heading before it adds the noise of the position.
             yaw = self._heading(cell, goal) + turn
             return (
                 np.array([*xy, yaw])
@@ -289,6 +293,7 @@ class SpawnSampler:
     ) -> np.ndarray:
         a = self.sim.addresses
         out = qpos.copy()
+        # With a held object the arm has the posture of its grasp.
         robot = out[a.robot_q].copy() if held else self._robot.rest.copy()
         robot[BASE] = base
         robot[self._arm] += arm_noise

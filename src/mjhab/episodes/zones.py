@@ -55,6 +55,7 @@ def zone(
     best = receptacle_below(goal, receptacles)
     signs = ((-1, -1), (1, -1), (1, 1), (-1, 1))
     if best is None:
+        # A goal on no known surface: the square that its tolerance spans stands for one.
         return tuple((goal[0] + tolerance * u, goal[1] + tolerance * v) for u, v in signs)
     corners = (best.point(u * best.half[0], v * best.half[1]) for u, v in signs)
     return tuple((float(c[0]), float(c[1])) for c in corners)

@@ -119,10 +119,12 @@ class ExpertPolicy:
         self._views = [StyledView(env, w) for w in range(env.num_envs)]
         self._action_noises: list[ActionNoise | None] = [None] * env.num_envs
         self._scripts: list[Script | None] = [None] * env.num_envs
+        # What a script was made for: when the token changes, another subtask is active and the script is stale.
         self._tokens: list[tuple[int, int, int] | None] = [None] * env.num_envs
         self._columns = env.layout.robot.action
         self._gaze = Gaze(env.layout.robot, env.config.stationary)
         self._last = np.zeros((env.num_envs, self._columns.dim), np.float32)
+        # Three copies, because slowing and noise change an action twice, and each stage repeats its own last one.
         self._wished = self._last.copy()
         self._intended = self._last.copy()
 
@@ -146,8 +148,10 @@ class ExpertPolicy:
 
     def act_in(self, obs: Any, info: Mapping[str, Any], mask: np.ndarray) -> np.ndarray:
         """Actions (W, A) float32; outside ``mask`` (W,) bool scripts pause and worlds keep their last action."""
+        # Plain integers: numpy's would be slower as indices of lists.
         for w in np.flatnonzero(mask).tolist():
             self._intended[w], self._last[w] = self._next(w, self._views[w])
+        # A copy, because the next call writes into the same array.
         return self._last.copy()
 
     def notes(self) -> ActionNotes:

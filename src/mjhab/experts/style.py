@@ -101,6 +101,7 @@ class ActionNoise:
         """Whether the script gives its next action in this control step; else the last action is repeated."""
         # A slowed script acts in a share of the control steps.
         self._phase += self.style.speed
+        # Speeds such as 0.1 do not add up to 1 exactly: without the tolerance one step in ten would be lost.
         if self._phase < 2.0 - 1e-9:
             return False
         self._phase -= 1.0
@@ -118,6 +119,7 @@ class ActionNoise:
     def slow(self, action: np.ndarray) -> np.ndarray:
         """Intended action (A,) float32: the script's ``action`` (A,) times the speed, except for the gripper."""
         out = action * np.float32(self.style.speed)
+        # The gripper's action is a position, not a speed: scaled, it would open or close half.
         out[self._columns.gripper] = action[self._columns.gripper]
         return out
 
@@ -133,6 +135,7 @@ class ActionNoise:
         if style.noise_kind == BURSTS:
             return self._burst(intended)
         scale = np.zeros(self._columns.dim)
+        # By the largest joint, because an arm that moves one joint is in motion as a whole.
         scale[self._columns.arm] = style.noise * min(
             1.0, float(np.abs(intended[self._columns.arm]).max()) / FULL_NOISE_ACTION
         )
@@ -162,6 +165,8 @@ class ActionNoise:
         fresh = self._random.standard_normal(self._columns.dim)
         if self.style.noise_kind == SMOOTH:
             self._noise = (
+                # The factor of the fresh part keeps the variance at 1, so that the scale means the same for every kind
+                # of noise.
                 NOISE_MEMORY * self._noise + np.sqrt(1.0 - NOISE_MEMORY**2) * fresh
             )
         else:

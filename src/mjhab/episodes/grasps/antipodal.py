@@ -73,12 +73,15 @@ class Solid:
     @staticmethod
     def of(kind: ObjectType, meshes: Mapping[str, object]) -> Solid:
         """Make the solid of an object type's collision pieces; curved primitives become circumscribed prisms."""
+        # Collision geometry and not what is seen: the pads meet the former.
         hulls = [ConvexHull(outline(geom, meshes)) for geom in kind.collision]
         surfaces = [trimesh.Trimesh(h.points, h.simplices).convex_hull for h in hulls]
         surface = trimesh.util.concatenate(surfaces)
         assert isinstance(surface, trimesh.Trimesh)
         return Solid(
-            tuple(np.unique(h.equations.round(9), axis=0) for h in hulls), surface
+            # Facets are triangles: those of one side have the same plane, but for rounding.
+            tuple(np.unique(h.equations.round(9), axis=0) for h in hulls),
+            surface,
         )
 
     def inside(self, points: np.ndarray) -> np.ndarray:
@@ -103,11 +106,13 @@ class Solid:
         for k, planes in enumerate(self.planes):
             rate = directions @ planes[:, :3].T
             height = origins @ planes[:, :3].T + planes[:, 3]
+            # Rays parallel to a plane divide by 0; they are masked below.
             with np.errstate(divide="ignore", invalid="ignore"):
                 at = -height / rate
             low = np.where(rate < -1e-9, at, -np.inf).max(axis=1)
             far = np.where(rate > 1e-9, at, np.inf)
             high = far.min(axis=1)
+            # A ray parallel to a plane and outside of it misses the piece, whatever the other planes say.
             hit = (low <= high) & ~np.any(
                 (np.abs(rate) <= 1e-9) & (height > 1e-9), axis=1
             )
@@ -135,6 +140,7 @@ def surface_grasps(
         At most `GRASPS_KEPT` grasps; none if the object is too wide for the gripper everywhere.
     """
     gripper = gripper or robot_named().gripper
+    # A stream per type, so that grasps do not depend on which types were searched before.
     rng = stream(0, "antipodal grasps", kind.name)
     solid = Solid.of(kind, meshes)
     pairs = _contact_pairs(solid, gripper, friction, rng)
@@ -159,7 +165,9 @@ def _contact_pairs(
     normals = np.repeat(solid.surface.face_normals[sampled[1]], RAYS_PER_SAMPLE, axis=0)
     cone = min(float(np.arctan(friction)), MAX_SLANT_RAD)
     directions = -_within_cone(normals, cone, rng)
+    # The ray along the normal is always tried: opposite sides of a box are met by no other.
     directions[::RAYS_PER_SAMPLE] = -normals[::RAYS_PER_SAMPLE]
+    # Pieces overlap: a point on one of them may be within another, where no finger comes.
     outer = ~solid.inside(origins + _PROBE_M * normals)
     origins = origins[outer]
     normals = normals[outer]
@@ -177,6 +185,7 @@ def _contact_pairs(
         & (width <= gripper.usable)
         & (play >= np.minimum(MIN_PLAY_M, by_hand))
     )
+    # The fingers cannot open wider than the hand does.
     play = np.minimum(play, by_hand)
     middle = origins + 0.5 * width[:, None] * directions
     most_open = width + 2 * play
@@ -191,6 +200,7 @@ def _within_cone(axes: np.ndarray, angle: float, rng: np.random.Generator) -> np
     """Sample unit vectors (R, 3), uniform in cones of half-angle ``angle`` [rad] around unit axes (R, 3)."""
     cosine = rng.uniform(np.cos(angle), 1.0, len(axes))
     turn = rng.uniform(-np.pi, np.pi, len(axes))
+    # The axis that is farthest from parallel, so that the cross product is not near 0.
     side = np.eye(3)[np.argmin(np.abs(axes), axis=1)]
     u = np.cross(axes, side)
     u /= np.linalg.norm(u, axis=1, keepdims=True)
@@ -212,6 +222,7 @@ def _through(
     enter, leave, normal = solid.cross(origins, directions)
     end = np.zeros(len(origins))
     last = np.zeros((len(origins), 3))
+    # A ray passes from one joined piece into the next: at most once through each.
     for _ in range(enter.shape[1]):
         joined = (enter <= end[:, None] + _JOIN_M) & (leave > end[:, None] + _JOIN_M)
         far = np.where(joined, leave, -np.inf)
@@ -252,12 +263,14 @@ def _approaches(
     local = np.einsum("pj,ajk->apk", points - pair.contact[0], frames)
     found = np.full(APPROACHES, np.nan)
     patch = np.zeros(APPROACHES)
+    # The deepest comes first and is kept, since it holds best.
     for depth in CONTACT_DEPTHS_M:
         shifted = local + np.array([depth, 0.0, 0.0])
         free = ~_touches(shifted, float(pair.most_open[0]), gripper)
         fresh = free & np.isnan(found)
         found[fresh] = depth
         pressed = _pressed(shifted[fresh], float(pair.width[0]), gripper)
+        # A length, to be comparable with the measure of other pinches.
         patch[fresh] = np.sqrt(point_area * pressed)
     rows = np.flatnonzero(~np.isnan(found))
     return SurfaceGrasps(

@@ -45,6 +45,7 @@ def box_pinches(
         cells = np.linspace(-1, 1, options.cells)
         u, v = np.meshgrid(cells * shape.half[j], cells * shape.half[k])
         face = pos + u.reshape(-1, 1) * rot[:, j] + v.reshape(-1, 1) * rot[:, k]
+        # The square root of an area, so that grasps of sides and of lines compare.
         size = 2 * np.sqrt(shape.half[j] * shape.half[k])
         fan = fan_of(rot[:, i], rot[:, j], options.fan)
         yield Pinch(rot[:, i], fan, face, width, least=0.014, measure=size, planar=True)
@@ -64,6 +65,7 @@ def _slanted_pinches(
     between these contacts is within the friction cones of both, and the grasp test allows normals 30 degrees off.
     """
     up = int(np.argmax(np.abs(rot[2])))
+    # The depth is computed for a level hand at an upright edge.
     if not options.slants or abs(rot[2, up]) < MIN_UPRIGHT_COSINE:
         return
     for i in range(3):
@@ -113,6 +115,7 @@ def _slanted_pinch(
     # The finger on this side meets the edge that is deeper between the fingers, the other one the opposite side.
     across = side * np.array([-turn[1], turn[0]])
     edge_depth = 2 * end.width * np.sin(slant)
+    # An edge right at the fingertips would slip off.
     depth = max(edge_depth + SLANT_EDGE_M, SLANT_DEPTH_M)
     width = 2 * end.width * np.cos(slant) + depth * np.tan(slant)
     if depth > gripper.finger[0] - gripper.palm_x[1] - options.palm_gap:

@@ -119,6 +119,7 @@ def grasp_candidates(
     kind, score = _score(obj.pos, turn, quality, clear, robot_xy, options)
     found = Grasps(tcp, turn, pre, width, opening, clear, kind, score)
     order = np.argsort(-score, kind="stable")
+    # Filtered after sorting: an order by score stays one.
     return found.take(order[clear[order] >= options.least_clear_m])
 
 
@@ -172,6 +173,7 @@ def approach_clearance(
     local, radius = gripper_spheres(opening, gripper)
     turned = np.einsum("gij,gmj->gmi", rot, local)
     least = np.full(len(pos), np.inf)
+    # Closer together near the object, where neighbours are.
     for share in (0.0, 0.25, 0.5, 1.0):
         points = (pos + share * (pre - pos))[:, None] + turned
         gap = nearest_box_distance(points.reshape(-1, 3), neighbours).reshape(
@@ -213,6 +215,7 @@ def _place(
     lowest = _lowest(turn, opening, gripper)
     room = obj.support_z + options.floor_gap - lowest
     if pinch.at is None:
+        # As deep as the palm allows, and above the support: whichever comes first.
         reach = _extent(obj.shape, obj.rot, approach)
         across = _extent(obj.shape, obj.rot, turn[:, :, 2])
         shifts = np.maximum(across - 0.015, 0.0)[:, None] * np.array(
@@ -220,6 +223,7 @@ def _place(
         )
         at = obj.pos + shifts[..., None] * turn[:, None, :, 2]
         deepest = -reach - gripper.palm_x[1] - options.palm_gap
+        # Level approaches never reach the floor; the bound keeps them from dividing by 0.
         fall = np.maximum(-approach[:, 2], 1e-9)[:, None]
         floor = np.where(fall > 0.05, (at[..., 2] - room[:, None]) / fall, np.inf)
         push = np.minimum(np.minimum(deepest[:, None], floor), 0.0)
@@ -231,12 +235,14 @@ def _place(
     else:
         at = pinch.at
     held, off = _overlap(pinch, obj.pos, at, turn, gripper)
+    # A hand that goes down to the floor lies on this limit, up to rounding.
     keep = (at[:, 2] >= room - 1e-6) & (held >= pinch.least)
     # Narrow objects tolerate larger position errors: the widest leave a gap of 3 mm on each side.
     quality = (
         pinch.bonus
         + 6.0 * np.minimum(held, 0.03)
         - 4.0 * off
+        # To the fourth power, so that it matters only for the widest.
         - 0.3 * (pinch.width / gripper.usable) ** 4
     )
     if pinch.planar:
@@ -261,11 +267,13 @@ def _overlap(
         & (np.abs(local[:, :, 2]) <= edge[1])
     )
     count = inside.sum(axis=1)
+    # Without a point between the pads there is no middle: the bound avoids 0 / 0, and such grasps are left out.
     middle = np.einsum("ap,pj->aj", inside / np.maximum(count, 1)[:, None], pinch.locus)
     share = count / len(pinch.locus)
     held = (
         0.015 * share
         if pinch.point
+        # A share of points is one of an area here, and ``held`` is a length.
         else pinch.measure * (np.sqrt(share) if pinch.planar else share)
     )
     return held, np.linalg.norm(middle - center, axis=1)
@@ -302,6 +310,7 @@ def _score(
     score = (
         quality
         + np.array([options.preference[name] for name in KINDS])[kind]
+        # Beyond 3 cm more room is no better, and it must not outweigh the quality.
         + 8.0 * np.clip(clear, -0.03, 0.03)
     )
     if robot_xy is not None:

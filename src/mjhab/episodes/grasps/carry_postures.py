@@ -59,11 +59,13 @@ class CarryPostures:
             UsageError: the layout has no object of this type.
             MjhabError: no grasp is stable in any sampled posture.
         """
+        # One lock for both, since making postures searches grasps.
         with self._held.lock:
             if kind not in self._arms:
                 path = self._path(kind)
                 found = read_cached(path, _load)
                 if found is None:
+                    # Read back from the file, so that the first run has the same bits as later ones.
                     found = _load(_save(path, self._make(kind)))
                 self._arms[kind] = found
             return self._arms[kind]
@@ -98,7 +100,10 @@ class CarryPostures:
         made: list[CarryPosture] = []
         for number, arm in enumerate(postures):
             grasp = self._held.hold_in(
-                kind, grasps[number % len(grasps)], _parked(robot, arm)
+                # In turn, so that a good grasp does not take all postures.
+                kind,
+                grasps[number % len(grasps)],
+                _parked(robot, arm),
             )
             if grasp is not None:
                 made.append(CarryPosture(arm, grasp))
@@ -139,15 +144,19 @@ def rest_postures(
     offset = rng.normal(size=(count, 3))
     offset *= (
         allowed
+        # The cube root makes points uniform in a ball: most of its volume is far from the centre.
         * rng.uniform(size=(count, 1)) ** (1 / 3)
         / np.linalg.norm(offset, axis=1, keepdims=True)
     )
+    # The rest position is relative to the base link, whose origin lies higher than the floor.
     center = np.add(config.ee_rest_pos, (0.0, 0.0, config.base_height))
     nothing = np.zeros((count, len(rest)))
     for _ in range(SOLVER_STEPS):
         error = center + offset - chain.tip_pose(q)[0]
         step = damped_step(error, chain.jacobian(q)[:, :3, columns], nothing)
+        # The tolerance of the joints is a limit as hard as those of the joints themselves.
         q[:, columns] = np.clip(q[:, columns] + step, low, high)
+    # With clipped joints the solver need not arrive.
     there = np.linalg.norm(chain.tip_pose(q)[0] - center, axis=1) <= allowed
     return q[there][:, columns]
 
@@ -166,7 +175,9 @@ def _save(path: Path, arms: list[CarryPosture]) -> Path:
         "fingers": np.array([one.grasp.fingers for one in arms]),
     }
     return write_cached(
-        path, lambda temporary: np.savez(temporary, allow_pickle=False, **arrays)
+        # Without pickles a file from elsewhere cannot run code.
+        path,
+        lambda temporary: np.savez(temporary, allow_pickle=False, **arrays),
     )
 
 

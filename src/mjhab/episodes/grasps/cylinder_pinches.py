@@ -38,6 +38,7 @@ def cylinder_pinches(
     axis = rot[:, 2]
     line = pos + np.linspace(-half, half, 81)[:, None] * axis
     can = _Can(radius, half, pos, axis, line)
+    # Over half a turn: a closing line has no direction.
     for angle in np.arange(12) * np.pi / 12:
         closing = np.cos(angle) * rot[:, 0] + np.sin(angle) * rot[:, 1]
         if 2 * radius <= gripper.usable:
@@ -56,7 +57,9 @@ def cylinder_pinches(
             np.linspace(-1, 1, 15) * radius, np.linspace(-1, 1, 15) * radius
         )
         disk = np.stack([u.ravel(), v.ravel()], axis=1)
+        # The grid covers the square around the disk.
         disk = disk[np.linalg.norm(disk, axis=1) <= radius] @ rot[:, :2].T + pos
+        # The square root of the area of the disk.
         size = np.sqrt(np.pi) * radius
         yield Pinch(
             axis,
@@ -120,6 +123,7 @@ def _tip_pinches(can: _Can, closing: np.ndarray, gripper: Gripper) -> Iterator[P
     for side in (-1.0, 1.0):
         approach = side * np.cross(can.axis, closing)
         at = can.pos + heights - (offset + tip) * approach
+        # A tenth of a millimetre before the tips, so that rounding does not put the chord past them.
         chord = can.line - (offset + 1e-4) * approach
         yield Pinch(
             closing,

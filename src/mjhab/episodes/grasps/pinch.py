@@ -141,6 +141,7 @@ class Pinch:
 def fan_of(closing: np.ndarray, start: np.ndarray, count: int) -> np.ndarray:
     """Return ``count`` unit directions of approach (A, 3) around a closing line, without those from below."""
     u = start - closing * (start @ closing)
+    # Only the part of the start across the closing line gives a direction of approach.
     u = u / np.linalg.norm(u)
     angle = np.arange(count) * 2 * np.pi / count
     fan = np.cos(angle)[:, None] * u + np.sin(angle)[:, None] * np.cross(closing, u)

@@ -61,6 +61,7 @@ def _sphere_pinches(
     gripper: Gripper,
     options: PinchOptions,
 ) -> Iterator[Pinch]:
+    # Spheres stand for rounded objects with unequal axes as well: the widest decides.
     width = 2 * max(shape.half)
     if width > gripper.usable:
         return

@@ -21,6 +21,7 @@ def farthest_points(features: np.ndarray, count: int) -> np.ndarray:
     for _ in range(min(count, len(features))):
         rows.append(row)
         apart = np.minimum(apart, np.linalg.norm(features - features[row], axis=1))
+        # Below every distance, so that a point is not taken twice even where others coincide with it.
         apart[row] = -1.0
         row = int(np.argmax(apart))
     return np.array(rows, np.int64)

@@ -76,6 +76,7 @@ def shape_of(
     """
     if kind.grasp_shape == "mesh":
         return _mesh_shape(kind, meshes, gripper or robot_named().gripper)
+    # A bowl is the one object of the pack whose collision shape is a ring of pieces.
     if len(kind.collision) > 1:
         return ObjectShape("bowl", kind.half)
     shape = next(iter(kind.collision)).shape
@@ -92,6 +93,7 @@ def _mesh_shape(
     pieces = np.concatenate([outline(geom, meshes) for geom in kind.collision])
     key = hashlib.sha256(repr((kind, gripper)).encode() + pieces.tobytes()).hexdigest()
     if key not in _mesh_shapes:
+        # Imported on use: trimesh takes long to import, and few packs have meshes.
         from mjhab.episodes.grasps.antipodal import surface_grasps
 
         grasps = surface_grasps(kind, meshes, gripper)
@@ -142,6 +144,7 @@ class StableGrasps:
         self.harvested = harvested
         self._found: dict[str, list[StableGrasp]] = {}
         self._held: dict[str, bool] = {}
+        # Reentrant, since a search may be started while the lock is held.
         self.lock = RLock()
 
     def grasps(self, kind: str) -> list[StableGrasp]:
@@ -206,9 +209,11 @@ class StableGrasps:
         name = hashlib.sha256(
             grasp.pose.tobytes() + np.float64(grasp.fingers).tobytes()
         ).hexdigest()[:16]
+        # A file of its own for each, so that processes that add at the same time do not overwrite each other.
         _save(below(self.folder, f"{kind}-added", f"{name}.npz"), [grasp])
         with self.lock:
             if self.harvested:
+                # Read again on next use, in the order of the hashes, which does not depend on who added when.
                 self._found.pop(kind, None)
         return grasp
 
@@ -216,6 +221,7 @@ class StableGrasps:
         """Return the grasps of an object type that `add` has cached, in the order of their hashes."""
         return [
             g
+            # Without files that are being written, whose names begin with a dot.
             for file in sorted((self.folder / f"{kind}-added").glob("[!.]*.npz"))
             for g in _load(file)
         ]
@@ -240,6 +246,7 @@ class StableGrasps:
         # The hash of a home covers what its model is made of, not the sizes that the search goes by.
         hand = (self.robot.gripper, self.robot.limits.gripper)
         name = repr((home_hash(self.layout, self.layout.pack.homes[0]), hand, test))
+        # Whether a grasp holds can depend on the last bits, which differ between machines.
         key = hashlib.sha256(name.encode() + arithmetic_digest()).hexdigest()[:16]
         return cache_dir() / "grasps" / key
 
@@ -261,6 +268,7 @@ class StableGrasps:
         pack = self.layout.pack
         shape = shape_of(pack.objects[kind], pack.meshes, self.robot.gripper)
         candidates = grasp_candidates(
+            # As if it stood on a table: grasps from below would never be made there.
             LyingObject(shape, np.zeros(3), np.eye(3), -shape.half[2]),
             gripper=self.robot.gripper,
         )
@@ -332,7 +340,9 @@ class StableGrasps:
         angle = self.config.grasp_angle
         robot = parked_robot_qpos(self.robot) if robot is None else robot
         open_hand = self._with_fingers(
-            robot, min(0.5 * width + 0.001, self.robot.finger_max)
+            # A millimetre open, so that closing is part of what is tested.
+            robot,
+            min(0.5 * width + 0.001, self.robot.finger_max),
         )
         held = self.scratch.try_grasp(
             slot, tcp, open_hand, HOLD_TIME_S, force, STEADY_SHARE * angle

@@ -105,6 +105,7 @@ class HabEpisode:
     def target_names(self) -> tuple[str, ...]:
         """Instance names of the targets, in order."""
         labels = self.info.get("object_labels") or {}
+        # The order of the labels is that of the task; objects of JSON keep theirs, but writers of targets need not.
         return tuple(name for name in labels if name in self.targets) or tuple(
             self.targets
         )
@@ -155,6 +156,7 @@ def write_hab(path: Path, file: HabFile) -> None:
 def write_rows(path: Path, rest: Mapping[str, Any], rows: Iterable[str]) -> None:
     """Write a file as `write_hab` does, from its other fields ``rest`` and episodes ``rows`` as JSON text."""
 
+    # Row by row, so that the text of all episodes is never in memory at once.
     head = json.dumps({**rest, "episodes": []}, allow_nan=False).removesuffix("]}")
 
     def write(temporary: Path) -> None:
@@ -232,6 +234,7 @@ def _episode(row: Any, where: str) -> HabEpisode:
 
     def fitting(name: str, kind: type, default: Any) -> Any:
         value = row.get(name, default)
+        # Some writers state an empty field as null.
         if value is None and default is not None:
             return default
         if not isinstance(value, kind):
@@ -241,6 +244,7 @@ def _episode(row: Any, where: str) -> HabEpisode:
     objects = fitting("rigid_objs", list, None)
     targets = fitting("targets", dict, None)
     for name, found in (("rigid_objs", objects), ("targets", targets)):
+        # Checked before the matrices are read: a file from elsewhere must not exhaust memory.
         if len(found) > MAX_OBJECTS:
             raise wrong_value(
                 f"number of {where}.{name}",
@@ -307,6 +311,7 @@ def _matrix(value: Any, where: str) -> np.ndarray:
     try:
         matrix = np.array(value, dtype=np.float64)
     except (TypeError, ValueError, OverflowError):
+        # Of no valid shape, so that one message serves for all that can be wrong.
         matrix = np.zeros(0)
     if matrix.shape != (4, 4) or not np.isfinite(matrix).all():
         raise wrong_value(where, value, "a 4x4 matrix of finite numbers")
@@ -315,6 +320,7 @@ def _matrix(value: Any, where: str) -> np.ndarray:
     check_range(f"{where}.rotation", rotation, -2.0, 2.0, "1")
     if (
         np.abs(rotation @ rotation.T - np.eye(3)).max() > ROUND_TRIP
+        # A mirror image passes the test of orthogonality.
         or np.linalg.det(rotation) < 0
     ):
         raise wrong_value(where, value, "a pose whose upper left 3x3 part is a rotation")
@@ -338,8 +344,10 @@ def _states(value: dict[str, Any], where: str) -> dict[str, dict[str, float]]:
             )
         for number, position in joints.items():
             if (
+                # In Python a bool is an int.
                 isinstance(position, bool)
                 or not isinstance(position, int | float)
+                # Negated, so that NaN is refused as well.
                 or not abs(position) <= MAX_JOINT_POSITION
             ):
                 raise wrong_value(
@@ -401,6 +409,7 @@ def pose_to_hab(pose: np.ndarray, scan_yaw: float = 0.0) -> np.ndarray:
     matrix = np.eye(4)
     matrix[:3, :3] = UP.T @ mat_from_quat(scan[3:]) @ UP
     matrix[:3, 3] = UP.T @ scan[:3]
+    # A rounded pose is the same text on every machine.
     return np.round(matrix, DECIMALS) + 0.0  # no minus zeros
 
 

@@ -68,12 +68,14 @@ def file_roster(file: HabFile, pack: Pack) -> tuple[str, ...]:
             if kind not in pack.objects:
                 known = unknown_name("object", kind, pack.objects)
                 raise fault(file.path, f"episodes[{i}].rigid_objs[{k}]: {known}")
+        # The union of counters takes the larger number of each.
         most |= Counter(episode.types)
     if most.total() > MAX_OBJECTS:
         raise fault(
             file.path,
             f"its episodes need {most.total():,} objects at once; at most {MAX_OBJECTS} can be simulated.",
         )
+    # Sorted, so that files with the same objects share one layout and its compiled models.
     return tuple(kind for kind in sorted(most) for _ in range(most[kind]))
 
 
@@ -125,6 +127,7 @@ class FileEpisodes:
         self._furnished: set[str] = set()
         self._settled = MemoryCache("episodes")
         for i in range(len(self.file.episodes)):
+            # All at once: an error in the last episode must not show after hours.
             self._check(i)
         self._rows = [
             i
@@ -184,6 +187,7 @@ class FileEpisodes:
                 require_furniture(
                     self.layout.pack, [self._homes[episode.scene]], self.task
                 )
+            # Thousands of episodes share a few scenes.
             self._furnished.add(episode.scene)
         names = episode.target_names
         limit = len(TASKS[self.task].targets)
@@ -199,6 +203,7 @@ class FileEpisodes:
                     f"{where}.rigid_objs: the layout has no slot for {name!r}."
                 )
         try:
+            # Reading checks what it reads: its messages get the place in the file here.
             home, pose, _, root = self._read(row)
             _check_inside(self.layout, home, episode, pose)
         except ValueError as error:
@@ -206,6 +211,7 @@ class FileEpisodes:
         rules = TASKS[self.task].targets
         if any(rule.opens for rule in rules):
             targets = file_targets(self.layout, home, episode, pose, root, self.task)
+            # Fewer targets than rules are allowed, see above.
             for rule, target in zip(rules, targets, strict=False):
                 if rule.opens == "start" and not target.start_link:
                     raise UsageError(
@@ -237,10 +243,12 @@ class FileEpisodes:
         rested = after[rows]
         slots = [self.layout.object_names.index(name) for name in hab.instances]
         moved = np.linalg.norm(rested[slots, :3] - pose[slots, :3], axis=1)
+        # By the axis alone: an object that turns about it has not fallen.
         axis_before, axis_after = (
             mat_from_quat(p[slots, 3:])[..., 2] for p in (pose, rested)
         )
         upright = np.einsum("mi,mi->m", axis_before, axis_after)
+        # Rounding can bring the product of unit vectors beyond 1.
         rest = Rest(hab.instances, moved, np.arccos(np.clip(upright, -1.0, 1.0)))
         targets = file_targets(self.layout, home, hab, rested, root, self.task)
         return Episode(
@@ -380,6 +388,7 @@ def joint_positions(layout: Layout, episode: HabEpisode, root: int) -> np.ndarra
                 else number
             )
             if f"{furniture}/{name}" not in layout.link_ids:
+                # A closed link that this pack does not have makes no difference.
                 if position == 0.0:
                     continue
                 if furniture in layout.pack.props:
@@ -391,7 +400,9 @@ def joint_positions(layout: Layout, episode: HabEpisode, root: int) -> np.ndarra
                 )
             k = layout.link_ids.index(f"{furniture}/{name}")
             low, high = layout.links[k].link.range
+            # Habitat's drawers and doors of this kind open towards negative values.
             position = -position if layout.links[k].link.mirrored else position
+            # Settled joints may lie slightly beyond their limits.
             if not low - 0.05 <= position <= high + 0.05:
                 raise ValueError(
                     f"{where}: {position:g} is outside the range {low:g} to {high:g} of the joint."
@@ -420,6 +431,8 @@ def receptacle_at(
     for place in places:
         over = np.abs(place.local(pose[:2])) <= np.array(place.half) + MARGIN
         gap = abs(lowest - place.pos[2])
+        # Compared by the lowest point, but the centre must be above: an object may sink in a little, not lie under a
+        # board.
         if over.all() and gap < least and pose[2] > place.pos[2]:
             best = place
             least = gap

@@ -58,6 +58,7 @@ def to_hab(layout: Layout, home: Home, episode: Episode) -> HabEpisode:
                 layout.used_slots(episode.object_pose),
                 strict=True,
             )
+            # Parked objects wait outside of the home and are not part of the episode.
             if used
         ),
         targets={
@@ -98,6 +99,7 @@ def _ao_states(layout: Layout, link_q: np.ndarray) -> dict[str, dict[str, float]
     for ref, position in zip(layout.links, link_q.tolist(), strict=True):
         if abs(position) > 1e-3:
             number = link_names(layout, ref.articulation).index(ref.link.name)
+            # The sign is that of the original's joint.
             stated = -position if ref.link.mirrored else position
             out.setdefault(copy_name(ref.articulation, 0), {})[str(number)] = round(
                 stated, 6
@@ -116,6 +118,7 @@ def _markers(layout: Layout) -> tuple[Marker, ...]:
                     _MARKERS[ref.id],
                     copy_name(ref.articulation, 0),
                     ref.link.name,
+                    # The +y up frame of the format: a quarter turn about x.
                     (round(x, 6), round(z, 6), round(-y, 6)),
                 )
             )
@@ -126,6 +129,7 @@ def _handle(layout: Layout, place: PlacedReceptacle) -> str:
     thing = place.id.split("/")[0]
     if thing == place.template:
         return copy_name(thing, 0)
+    # Only names of that pack were shortened.
     prefix = PREFIX if layout.pack.name == _REPLICA_CAD else ""
     return copy_name(f"{prefix}{place.template}", int(thing.rsplit("_", 1)[1]))
 
@@ -134,6 +138,7 @@ def _numbered(layout: Layout, place: PlacedReceptacle | None) -> NumberedLink:
     if place is None:
         return ("", None)
     if place.id.split("/")[0] == place.template:
+        # What stands on the furniture itself is on its body, which is a link of its own in the format.
         link = place.link.split("/")[1] if place.link else FIXED_LINKS[1]
         return (_handle(layout, place), link_names(layout, place.template).index(link))
     return (_handle(layout, place), None)

@@ -69,6 +69,7 @@ def mark(
     best = (0.0, Mark())
     for found, sure in _tiers(points, left, near, far, superlatives):
         margin, words = max(found, key=lambda each: each[0], default=(0.0, Mark()))
+        # The first kind of words that is sure, not the one with the widest margin: left and right are easier to follow.
         if margin >= sure:
             return words
         best = max(best, (margin, words), key=lambda each: each[0])
@@ -99,6 +100,7 @@ def _sides(along: np.ndarray) -> list[tuple[float, Mark]]:
     """Margin [m] and words of the sides, of coordinates (1 + N,) to the left, the thing's first."""
     here = along[0]
     others = along[1:]
+    # Of two things one is left; of more it takes a superlative.
     few = len(others) == 1
     return [
         (float(here - others.max()), Mark("left" if few else "leftmost")),
@@ -119,12 +121,14 @@ def _ranked(
     others = distances[:, :, 1:]
     own = distances[:, :, :1]
     ranks = (others < own).sum(axis=2).tolist()
+    # The nearest rival decides how sure the words are.
     margins = np.abs(others - own).min(axis=(1, 2)).tolist()
     last = others.shape[2]
     found = []
     for landmark, (rank, by_outline), margin in zip(
         landmarks, ranks, margins, strict=True
     ):
+        # Near by its centre but not by its outline: people would disagree about what is nearest.
         if rank != by_outline:
             continue
         word = words[0] if rank == last and words is _FURTHEST else ""
@@ -153,5 +157,6 @@ def _outside(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
     axes = corners[:, [1, 3]] - origins
     sizes = np.linalg.norm(axes, axis=2)
     local = (points - origins) @ (axes / sizes[:, :, None]).transpose(0, 2, 1)
+    # In the frame of the rectangle the nearest point is found axis by axis.
     inside = np.clip(local, 0.0, sizes[:, None])
     return np.linalg.norm(local - inside, axis=2)

@@ -91,6 +91,7 @@ class HomeWords:
         behind = self._behind.get(link, []) if link else []
         if not behind:
             return receptacle_below(point, self.receptacles)
+        # An object in an open drawer is above no receptacle of the closed one.
         return receptacle_below(point, behind) or min(
             behind, key=lambda r: abs(point[2] - r.pos[2])
         )

@@ -49,6 +49,7 @@ class InstructionGenerator:
     def __init__(self, layout: Layout) -> None:
         self._layout = layout
         self._homes = layout.pack.homes_by_name
+        # Words of a home take long to find, and all of its episodes share them.
         self._words = cache(self._words_of)
 
     def instructions(self, episode: Episode, plan: TaskPlan, alone: bool) -> Instructions:
@@ -63,7 +64,9 @@ class InstructionGenerator:
         tale = _Tale(self._layout, episode, plan, words, self._alike)
         positions = range(len(plan.subtasks))
         requests = [tale.request(k) for k in positions]
+        # A stream of its own, so that words do not change where objects and robot are.
         draw = seeded_draw(stream(episode.seed, "instruction", episode.index))
+        # An episode of one subtask has no sentence for the whole task.
         whole = [] if alone else [tale.request(k, anytime=True) for k in positions]
         return instructions(episode.task, requests, whole, draw)
 
@@ -116,6 +119,7 @@ class _Tale:
         target = subtask.target
         goal = self._spot(self._goal_place(subtask))
         obj = target.removeprefix(GOAL_OF)
+        # Open and Close are about a link, and their target names it.
         if obj not in self.layout.object_names:
             known = obj in self.layout.link_ids
             names = (self.words.link(obj),) if known else ()
@@ -168,6 +172,7 @@ class _Tale:
     def _mark(self, position: int, obj: str, anytime: bool) -> Mark:
         """What tells an object from others that its name and its place fit."""
         place = self.place(obj)
+        # Compared in words: two places that are called the same are the same to a reader.
         spot = self._spot(place)
         others: list[tuple[float, float]] = []
         at_start = []
@@ -210,6 +215,7 @@ class _Tale:
         moves = at_start is not None
         found = mark(np.array([own, *others]), left, near, far, superlatives=moves)
         if found is None and at_start:
+            # Nothing fits at all times: then what fits at the start, when the sentence is said.
             found = mark(np.array([own, *at_start]), left, near, far)
         return found or Mark()
 
@@ -250,6 +256,7 @@ class _Tale:
 def _names(obj: str) -> tuple[str, ...]:
     """All names of an object's type."""
     kind = kind_of(obj)
+    # Objects of other packs have no words of their own: their names serve.
     return object_words(kind) or names_of(kind)
 
 

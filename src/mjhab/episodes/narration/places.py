@@ -61,6 +61,7 @@ class _PlacePart:
 
     def across(self, left: np.ndarray) -> tuple[float, float]:
         """Its extent [m] to the right of the template's origin: least and greatest."""
+        # To the right, so that ascending order is that of reading.
         middle = -float(self.centre[:2] @ left)
         half = float(self.half @ np.abs(left))
         return middle - half, middle + half
@@ -105,6 +106,7 @@ class TemplateWords:
                 found[r.name] = PartWords("in", basin)
             else:
                 kind = "open" if r.kind == "open" else "shelf"
+                # A receptacle of a link is given in the frame of that link.
                 origin = origins.get(r.link, np.zeros(3))
                 at = origin + np.array(r.pos)
                 groups[kind].append(_PlacePart(r.name, kind, at, np.array(r.half)))
@@ -118,6 +120,7 @@ class TemplateWords:
     def _placed(self, parts: Sequence[_PlacePart]) -> dict[str, str]:
         """Words of parts by name: the noun with what tells it from others of the same noun."""
         words: dict[str, str] = {}
+        # A dict instead of a set, because the order of a set of strings differs between runs.
         for noun in dict.fromkeys(part.noun for part in parts):
             group = [part for part in parts if part.noun == noun]
             columns = self._columns(group)
@@ -136,6 +139,7 @@ class TemplateWords:
         left = left_of(self.front)
         columns: list[list[_PlacePart]] = []
         for part in sorted(parts, key=lambda part: ordered_sum(part.across(left))):
+            # Compared with the first of the column: chained overlaps could join parts side by side.
             if columns and _overlap(part.across(left), columns[-1][0].across(left)):
                 columns[-1].append(part)
             else:
@@ -175,6 +179,7 @@ def side_word(rank: int, count: int) -> str:
 
 
 def _both(level: str, side: str) -> str:
+    # "Middle middle" is no English.
     if level == side == "middle":
         return "central"
     return f"{level} {side}".strip()
@@ -188,6 +193,7 @@ def _rows(parts: Sequence[_PlacePart]) -> list[list[_PlacePart]]:
     """Parts by height, the highest first."""
     rows: list[list[_PlacePart]] = []
     for part in sorted(parts, key=lambda part: -part.centre[2]):
+        # Compared with the last of the row, so that parts of slightly falling heights stay one row.
         if rows and rows[-1][-1].centre[2] - part.centre[2] <= ROW_GAP_M:
             rows[-1].append(part)
         else:
@@ -205,6 +211,7 @@ def _front(links: Sequence[Link]) -> np.ndarray | None:
         return None
     out = np.sum([link.handle.out[:2] for link in links], axis=0)
     length = float(np.linalg.norm(out))
+    # Handles that point to all sides cancel out: such furniture has no front.
     return out / length if length > 0.5 else None
 
 

@@ -19,6 +19,7 @@ class CloseStart(SubtaskStart):
 
     def stand(self, scene: StartContext) -> SpawnGoal:
         """Return a spawn in the front area that faces its origin, as in mshab/utils/gen/gen_spawn_positions.py."""
+        # The object is at its goal by then, which may be far from the link.
         front = link_front(scene.state.layout, scene.home, scene.subtask.link)
         return SpawnGoal(np.array(front.root), self.approach(scene).area)
 

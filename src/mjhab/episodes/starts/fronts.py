@@ -30,6 +30,7 @@ class LinkFront:
         cos = math.cos(self.yaw)
         sin = math.sin(self.yaw)
         half = self.area.half_width_m
+        # Furniture may stand at any angle, while success is tested along the axes of the world.
         corners = [
             (x, y) for x in (self.area.near_m, self.area.far_m) for y in (-half, half)
         ]
@@ -52,6 +53,7 @@ def link_front(layout: Layout, home: Home, link_id: str) -> LinkFront:
     ref = layout.links[layout.link_ids.index(link_id)]
     placement = layout.articulation_placement(home, ref.articulation)
     out = ref.link.handle.out
+    # A template may have its front along any of its axes.
     yaw = placement.yaw + math.atan2(out[1], out[0])
     own = layout.pack.articulations[ref.articulation].front_area
     if own is not None:

@@ -79,7 +79,9 @@ class HomeState:
         fraction = rng.uniform(self.open_at(link), OPEN_START_MARGIN)
         at = low + fraction * (high - low)
         qpos[self.link_address(link)] = min(
-            at, dict(self.homes[home].open_limits).get(link, at)
+            # A wall may stop a door before the end of its range.
+            at,
+            dict(self.homes[home].open_limits).get(link, at),
         )
 
     def ensure_open(
@@ -133,6 +135,7 @@ class HomeState:
     def carry_along(self, episode: Episode, obj: str, link: str, qpos: Array) -> None:
         """Move an object along with its drawer (mshab/utils/gen/gen_spawn_positions.py); no-op for doors."""
         ref = self.link(link)
+        # Objects behind a door stand on shelves, which do not move.
         if ref.link.joint != "slide":
             return
         yaw = self.layout.articulation_placement(
@@ -141,6 +144,7 @@ class HomeState:
         start = self.object_address(obj)
         before = episode.link_q[self.layout.link_ids.index(link)]
         moved = qpos[self.link_address(link)] - before
+        # Drawers slide level, and furniture turns about the vertical only.
         ax, ay, _ = ref.link.axis
         direction = np.array(
             [np.cos(yaw) * ax - np.sin(yaw) * ay, np.sin(yaw) * ax + np.cos(yaw) * ay]
@@ -151,6 +155,7 @@ class HomeState:
         """Move an object to GOAL_DROP_M above its goal [m, world frame]; its orientation stays."""
         start = self.object_address(obj)
         qpos[start : start + 3] = goal
+        # In contact with the surface at once, the object could start inside of it.
         qpos[start + 2] += GOAL_DROP_M
 
     def park(self, qpos: Array, obj: str) -> None:
@@ -165,6 +170,7 @@ class HomeState:
         slot = self.layout.object_names.index(obj)
         kind = self.layout.roster[slot]
         robot = self.layout.robot.rest.copy()
+        # The published rule takes whole arm postures from successful Picks.
         if self.published:
             arms = self.arms.arms(kind)
             chosen = arms[int(rng.integers(len(arms)))]

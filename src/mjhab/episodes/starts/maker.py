@@ -72,6 +72,7 @@ def _opened_links(task: str, layout: Layout) -> list[str]:
         links = [roles_of(pack, home).links.get(role) for home in pack.homes]
         # Of a role that no home has, the error says which ones the pack has.
         found += filter(None, links) if any(links) else [link_with_role(pack.roles, role)]
+    # A dict keeps the order, which the messages show.
     return list(dict.fromkeys(found))
 
 
@@ -204,12 +205,14 @@ class StartMaker:
         home = self._homes[episode.home]
         boxes = self.boxes(home)
         qpos = self.episode_qpos(episode)
+        # Apart from the stream of the spawn: how the home is prepared must not change with the number of tries.
         rng = stream(episode.seed, "start", episode.task, episode.index)
         scene = StartContext(plan, position, boxes, self._state, episode, qpos, rng)
         begin = start_of(scene.subtask.kind)
         held = begin.prepare(scene)
         goal = begin.stand(scene)
         if self.published:
+            # In the original the noise may carry the base beyond the distance that its cell was drawn within.
             goal = dataclasses.replace(goal, slack=np.inf, published=True)
         qpos, fallback, tries = self._spawn(episode, qpos, goal, held)
         return Start(
@@ -233,6 +236,7 @@ class StartMaker:
     def boxes(self, home: Home) -> dict[str, Box]:
         """Return the floor area in front of every link of a home: x_min, x_max, y_min, y_max [m], world frame."""
         if home.name not in self._boxes:
+            # Kept, since every start in the home needs them.
             self._boxes[home.name] = {
                 link: link_front(self.layout, home, link).box
                 for link in self.layout.link_ids
@@ -258,6 +262,7 @@ class StartMaker:
         situation = SubtaskContext(plan, position, {}, self._state)
         link, placed = situation.open_before()
         if link:
+            # The position is part of the name, as a chain is foreseen at each of its Navigates.
             rng = stream(episode.seed, "foresee", episode.task, episode.index, position)
             self._state.leave_open(rng, episode, link, qpos, placed=placed)
         if situation.subtask.must_hold:
@@ -306,6 +311,7 @@ class StartMaker:
             State (nq,); True if no sampled spawn was valid and the fallback is used; number of sampled spawns.
         """
         name = ("spawn", episode.task, episode.index)
+        # A stream per attempt: try 7 is the same whatever the tries before it drew.
         rngs = (stream(episode.seed, *name, attempt) for attempt in range(MAX_TRIES))
         found, tries = self.sampler.search(episode.home, qpos, goal, rngs, held)
         if found is None:

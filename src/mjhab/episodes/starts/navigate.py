@@ -35,6 +35,7 @@ class NavigateStart(SubtaskStart):
             state.leave_open(scene.rng, scene.episode, link, scene.qpos, placed=placed)
         if not subtask.must_hold:
             return None
+        # The goal of what is carried is behind this link, opened earlier in the plan.
         if subtask.link:
             state.ensure_open(scene.rng, scene.episode.home, subtask.link, scene.qpos)
         return state.hold(scene.rng, subtask.obj, scene.qpos)
@@ -47,6 +48,7 @@ class NavigateStart(SubtaskStart):
         """
         if not TASKS[scene.episode.task].departs_from_last_goal:
             return SpawnGoal(None)
+        # The nearest subtask before that leads somewhere: a Pick or an Open leaves the robot where it is.
         before = [
             s.goal_pos
             for s in scene.plan.subtasks[: scene.position]
@@ -60,6 +62,7 @@ class NavigateStart(SubtaskStart):
             None, near=np.array(DOORSTEP), reach=DOORSTEP_REACH, yaw=DOORSTEP_YAW
         )
         if not at.allows(sampler.walkable(home)).any():
+            # Other homes have no doorstep at these coordinates.
             at = dataclasses.replace(at, near=sampler.roomiest(home))
         return at
 

@@ -18,6 +18,7 @@ class OpenStart(SubtaskStart):
         state = scene.state
         subtask = scene.subtask
         link = state.link(subtask.link).link
+        # Only drawers, as in the original.
         if link.joint != "slide" or scene.rng.uniform() >= state.config.open_start:
             return
         low, high = link.range
@@ -25,6 +26,7 @@ class OpenStart(SubtaskStart):
         scene.qpos[state.link_address(subtask.link)] = low + AJAR * opened
         target = next(t for t in scene.episode.targets if t.obj == subtask.obj)
         if target.start_link == subtask.link:
+            # The object lies in the drawer and comes out with it.
             state.carry_along(scene.episode, subtask.obj, subtask.link, scene.qpos)
 
     def stand(self, scene: StartContext) -> SpawnGoal:

@@ -25,6 +25,7 @@ class PickStart(SubtaskStart):
         if not scene.state.published:
             return self.approach(scene)
         start = scene.state.object_address(scene.subtask.obj)
+        # Where the object now is: its drawer may have carried it along.
         return SpawnGoal(scene.qpos[start : start + 2])
 
     def approach(self, situation: SubtaskContext) -> SpawnGoal:

@@ -69,6 +69,7 @@ class SubtaskContext:
         Raises:
             UsageError: there is none in the plan.
         """
+        # The nearest one: chains lead to several goals.
         for subtask in reversed(self.plan.subtasks[: self.position]):
             if spec_of(subtask.kind).navigates:
                 return subtask.goal_pos
@@ -84,6 +85,7 @@ class SubtaskContext:
         The link is "" if the plan before the subtask leaves none open.
         """
         link = ""
+        # The link was opened for another object, which has yet to be placed.
         placed = False
         for subtask in self.plan.subtasks[: self.position]:
             spec = spec_of(subtask.kind)

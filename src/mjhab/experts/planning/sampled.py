@@ -83,6 +83,7 @@ def clearer(view: WorldView, found: Found | None, blocked: list[Blocked]) -> Fou
 
 def _path_around(view: WorldView, blocked: list[Blocked]) -> Found | None:
     """Quickest sampled route to the first of the ``blocked`` reaches for which one leaves `MIN_TOTAL_STEPS`."""
+    # In the order in which they were found: the first ones have more clearance at the work.
     for reach in blocked:
         robot = reach.scene.robot()
         boxes = reach.scene.all
@@ -91,6 +92,7 @@ def _path_around(view: WorldView, blocked: list[Blocked]) -> Found | None:
         for goal, pre, at in zip(reach.goal, reach.pre, reach.at, strict=True):
             if len(tried) >= BASES_TRIED:
                 break
+            # Many hand poses share a base pose, and their drives collide alike.
             if any(np.array_equal(pre[BASE], base) for base in tried):
                 continue
             tried.append(pre[BASE])
@@ -134,6 +136,7 @@ def plan_around(
     poses = base.poses
     start = view.q
     end = np.concatenate([goal, arm[BASE.stop :]])
+    # Thousands of postures are checked: boxes that the arm cannot reach would multiply the time.
     boxes = within_reach(boxes, np.stack([start[:2], goal[:2]]))
     here = Free.near(view.robot, start, robot, boxes)
     there = Free.near(view.robot, end, robot, boxes)
@@ -172,14 +175,17 @@ def _timed(
     drive = len(poses)
     options = [
         (max(lead + drive, delay + back), lead, delay)
+        # A few overlaps are enough: a finer choice saves less time than its checks take.
         for lead in {0, out // 2, out}
         for delay in {max(out, lead + drive - share * back // 2) for share in (0, 1, 2)}
     ]
+    # One after another is clear for certain, since its parts were checked each.
     late = (out + drive + back, out, out + drive)
     # The first one that is clear is the quickest.
     for steps, lead, delay in sorted(options):
         if (steps, lead, delay) >= late:
             break
+        # Forty instants cover a route of some seconds closely enough for its clearances.
         t = np.unique(np.linspace(0, steps, 40).astype(int))
         arm = np.where(
             (t < delay)[:, None],
@@ -233,6 +239,7 @@ def _arm_paths(
     after = postures.copy()
     before[:, BASE] = start[BASE]
     after[:, BASE] = end[BASE]
+    # A coarse test of all postures at once, before the exact one of single motions.
     out = here.likely(start, before)
     back = there.likely(end, after)
     found = []
@@ -243,6 +250,7 @@ def _arm_paths(
             break
     # RRT-Connect for one of the two paths, for postures whose other path is straight and free.
     for i in np.flatnonzero(out ^ back)[: 0 if found else POSTURES_SEARCHED]:
+        # The straight one is checked first where a tree is needed for the other, as it is cheap.
         first = (
             _straight(start, before[i], here)
             if out[i]
@@ -268,6 +276,7 @@ def _straight(start: np.ndarray, end: np.ndarray, free: Free) -> np.ndarray | No
 def _postures(robot: Robot, start: np.ndarray, end: np.ndarray) -> np.ndarray:
     """Candidate postures (V, J), ordered by the control steps from ``start`` (J,) by way of them to ``end`` (J,)."""
     dofs = ik.columns(robot.chain)
+    # Joints that the planner does not move, such as the head, stay as they are.
     others = np.setdiff1d(np.arange(BASE.stop, len(start)), dofs)
     drawn = _library(robot).copy()
     drawn[:, others] = start[others]
@@ -287,9 +296,11 @@ def _library(robot: Robot) -> np.ndarray:
         robot.rest,
         ik.columns(robot.chain),
         4 * MAX_POSTURES,
+        # A fixed seed: plans must not depend on how many were made before.
         np.random.default_rng(PLANNING_SEED),
         1.0,
     )
+    # Twice the clearance, since the motions into these postures need some as well.
     return drawn[motion.spheres(robot).self_clearance(drawn) > 2 * SELF_CLEARANCE_M][
         :MAX_POSTURES
     ]
@@ -298,6 +309,7 @@ def _library(robot: Robot) -> np.ndarray:
 def _clear_drives(postures: np.ndarray, poses: np.ndarray, free: Free) -> np.ndarray:
     """Indices of the first `MAX_CLEAR_POSTURES` of postures (V, J) that are free at base poses (T, 3) of a drive."""
     found: list[Any] = []
+    # In batches: usually the first one yields enough, and the rest need not be checked.
     for start in range(0, len(postures), 2 * MAX_CLEAR_POSTURES):
         rows = np.arange(start, min(start + 2 * MAX_CLEAR_POSTURES, len(postures)))
         for pose in poses[np.unique(np.linspace(0, len(poses) - 1, _PLACES).astype(int))]:
@@ -307,4 +319,5 @@ def _clear_drives(postures: np.ndarray, poses: np.ndarray, free: Free) -> np.nda
         found += list(rows)
         if len(found) >= MAX_CLEAR_POSTURES:
             break
+    # With a type, because an empty list would become floats, which are no indices.
     return np.array(found[:MAX_CLEAR_POSTURES], np.int64)

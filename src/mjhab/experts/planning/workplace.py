@@ -80,6 +80,7 @@ class ReachScene:
         top = self.near.center[:, 2] + np.einsum(
             "kj,kj->k", np.abs(self.near.rot[:, 2]), self.near.half
         )
+        # Some millimetres of tolerance: the support itself, and what lies flush with it, is no neighbour.
         return self.near.take(top > self.support_z + 0.004)
 
     def robot(self) -> RobotSpheres:

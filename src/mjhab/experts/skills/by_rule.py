@@ -131,6 +131,7 @@ def find_placement(
     """
     if not len(hands.pos):
         return None
+    # Doors and drawers count as shut, so that the choice depends on the place and hardly on the state of the furniture.
     floor = planner(view, shut=True)
     for base in _bases(view, point):
         found = _nearest_to_rest(view, scene, base, hands)
@@ -149,10 +150,12 @@ def _bases(view: WorldView, point: np.ndarray) -> Iterator[np.ndarray]:
         grid.ravel() for grid in np.meshgrid(angles, DISTANCES_M, indexing="ij")
     )
     xy = point[:2] - distance[:, None] * np.stack([np.cos(yaw), np.sin(yaw)], axis=1)
+    # The same map as for the drive: a base pose that is free here but not there could not be reached.
     floor = planner(view, shut=True)
     cost = floor.costs(view.base[:2])[floor.grid.cells(xy)]
     cost = cost + DISTANCE_PRICE * np.abs(distance - DISTANCES_M[0])
     cost[floor.clearance_at(xy) < floor.radius + PLACEMENT_CLEARANCE_M] = np.inf
+    # Stable, because unreachable cells all cost the same: an unstable order could differ between machines.
     order = np.argsort(cost, kind="stable")[:MAX_PLACEMENTS]
     for k in order[np.isfinite(cost[order])]:
         yield np.array([*xy[k], yaw[k]])
@@ -172,6 +175,7 @@ def _nearest_to_rest(
     rot = hands.rot
     lean = _angles(rot[:, :, 0], np.cos(PITCH) * ahead + np.sin(PITCH) * down)
     roll = _angles(rot[:, :, 1], left)
+    # Stable: symmetric hands have equal prices, and the same one must win on every machine.
     rows = np.argsort(lean + ROLL_WEIGHT * roll + hands.price, kind="stable")[:MAX_GOALS]
     q = view.robot.rest.copy()
     q[BASE] = base
@@ -187,6 +191,7 @@ def _nearest_to_rest(
         good = good[clear_ones(found.q[good, 0], scene, MIN_CLEARANCE_M)]
         rows = rows[good]
         seeds = found.q[good]
+        # The arm begins from the posture before the goal, not from the last one of the three.
         ready = ready or dict(zip(rows.tolist(), seeds[:, 0], strict=True))
         if not len(rows):
             return None
@@ -196,6 +201,7 @@ def _nearest_to_rest(
 
 def _angles(axes: np.ndarray, wanted: np.ndarray) -> np.ndarray:
     """Angles (G,) [rad] between unit vectors ``axes`` (G, 3) and ``wanted`` (3,)."""
+    # Rounding can bring the product of unit vectors beyond 1, for which arccos is not defined.
     return np.arccos(np.clip(axes @ wanted, -1.0, 1.0))
 
 
@@ -228,6 +234,8 @@ class Funnel:
         here, here_rot = motion.tcp(view)
         off = here - self.pos
         aside = float(np.linalg.norm(off - (off @ self.approach) * self.approach))
+        # The hand comes close only while it is on its line and turned well: a policy that is off it withdraws by
+        # itself.
         back = FUNNEL_SLOPE * max(aside - FREE_ASIDE_M, 0.0)
         back += FUNNEL_TURN_M * max(self.turn(view) - FREE_TURN, 0.0)
         near = float(np.linalg.norm(off)) < STANDOFF_M
@@ -261,6 +269,7 @@ def move_hand(
         posture: (J,) posture preferred in the null space.
     """
     chain = view.robot.chain
+    # Joints without limits may be a whole turn away from the posture: without this the arm would turn back.
     rest = ik.unwind(chain, posture, view.q)
     goals = ik.TipGoals(pos[None], rot[None], ik.columns(chain), rest)
     return motion.hand_action(view, goals, gripper=gripper, drive=drive)

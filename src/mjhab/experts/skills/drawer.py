@@ -63,6 +63,7 @@ def open_drawer(view: WorldView, link: JointedLink) -> Motion:
     """Open a drawer: grasp the bar, pull it, release it, return to rest; again after a slip."""
     full = link.range[1]
     pulls = style_of(view).pull == ARM
+    # More than success asks for: the arm may still touch the drawer on its way back.
     enough = OPEN_ENOUGH_SHARE * full
     # Open fingers could catch the handle: after a pull by the arm the hand is close, and one touch throws a free drawer
     # shut.
@@ -73,6 +74,7 @@ def open_drawer(view: WorldView, link: JointedLink) -> Motion:
                 return True
             yield from leaving.settle(view, link, motion.CLOSED)
             continue
+        # A style is a wish: where the arm finds no way, the base pulls.
         if pulls and (path := _arm_path(view, link)) is not None:
             if (yield from _take_on(view, link, path)):
                 yield from _pull(view, link, path)
@@ -92,6 +94,7 @@ def close_drawer(view: WorldView, link: JointedLink) -> Motion:
 
     With the style ``close=grasp`` the hand holds the handle instead, in up to `MAX_GRASPS` attempts.
     """
+    # Further than success requires, because the drawer may bounce open again.
     goal = 0.4 * CLOSED_SHARE * link.range[1]
     grasps = MAX_GRASPS if style_of(view).close == GRASP else 0
     while (
@@ -107,6 +110,7 @@ def close_drawer(view: WorldView, link: JointedLink) -> Motion:
             )
             continue
         found = link_motions.cached(view.robot, link, "push", _push_motions)
+        # A drawer moves in a straight line: motions for the closed one hold for any opening, moved along.
         moved = found.shifted(view.link_q(link.id))
         goals, _ = link_motions.rank(
             view, link_motions.Frame.of(link), moved, found.q[:, :1, BASE_XY]
@@ -133,6 +137,7 @@ def _take_handle(view: WorldView, link: JointedLink, goal: float) -> Motion:
     """Grasp the bar from a motion from which the base can drive until the drawer is open by ``goal`` [m]."""
     found = link_motions.cached(view.robot, link, "pull", _pull_motions)
     q = view.link_q(link.id)
+    # The base must have room where it stands in the end, not only where it grasps.
     end = found.q[:, :1, BASE_XY] + np.array([goal, 0.0])
     goals, _ = link_motions.rank(view, link_motions.Frame.of(link), found.shifted(q), end)
     best = approach.best_route(view, goals[:, 0])
@@ -142,6 +147,7 @@ def _take_handle(view: WorldView, link: JointedLink, goal: float) -> Motion:
     gripper = _around(view.robot, link)
     yield from follow(view, best[1], gripper=gripper)
     _, turn = view.robot.chain.tip_pose(posture[1])
+    # The hand was planned either way up: the direction between its fingers tells which.
     rot = link_motions.hand(-link.handle_pose(q)[2], turn[0, :, 1])
     return (yield from approach.take(view, link, rot, posture[1], gripper=gripper))
 
@@ -177,6 +183,7 @@ def _pull(view: WorldView, link: JointedLink, path: LinkPath) -> Motion:
             return True
         if not view.finger_forces(link.id).any() and aim > now + PULL_LEAD_M:
             return False
+        # The goal waits for a drawer that lags, but never moves back: that would push.
         aim = min(aim + PULL_STEP_M, max(aim, now + PULL_LEAD_M), float(path.values[-1]))
         yield link_path.action(view, path, aim, PULL_STEP_M, motion.CLOSED)
     return False
@@ -294,6 +301,7 @@ def _retracts(robot: Robot, end: np.ndarray, boxes: Boxes) -> np.ndarray:
         boxes: collision boxes of the open drawer.
     """
     start = end.copy()
+    # The script backs off by this before the arm retracts, so this is where clearance counts.
     start[:, 0] += BACK_OFF_M
     rest = ik.unwind(robot.chain, robot.rest, start)
     rest[:, BASE] = start[:, BASE]
@@ -314,6 +322,7 @@ def _push_motions(robot: Robot, link: JointedLink) -> LinkMotions:
         pos,
         link_motions.hand(-out, np.array([0.0, 0.0, 1.0])),
         [link.boxes(0.0)] * 2,
+        # Closed fingers push with their tips: the turn about their axis does not matter.
         mode="approach",
     )
 

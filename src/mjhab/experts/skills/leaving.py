@@ -60,6 +60,7 @@ def retract_beside(
     view: WorldView, link: JointedLink, enough: float, gripper: float
 ) -> Motion:
     """Bring the arm to rest beside an open link. Returns False as soon as it does not stay open by ``enough``."""
+    # Looked at in every step: the earlier a touch is noticed, the less the link has closed.
     for action in approach.retract(view, gripper=gripper):
         if not stays_open(view, link, enough):
             return False
@@ -74,9 +75,11 @@ def swing_on(view: WorldView, link: JointedLink) -> Motion:
     Fingers that stood still would be hit by the bar and throw the door back. Returns whether they are past the bar.
     """
     pos, rot = motion.tcp(view)
+    # The hand may hold the bar off its middle, and must keep to that place while it backs off.
     offset = pos - link.handle_pose(view.link_q(link.id))[0]
     posture = view.q
     dofs = ik.columns(view.robot.chain)
+    # The base helps only backwards: the way out may lead across its heading.
     along = float(-rot[:2, 0] @ motion.ahead(view.base[2]))
     drive = (BACK_SPEED_M_S * min(along, 0.0), 0.0)
     past = view.robot.gripper.finger[0] + PAST_BAR_M
@@ -87,6 +90,7 @@ def swing_on(view: WorldView, link: JointedLink) -> Motion:
             return True
         swing = max(view.link_speed(link.id), 0.0) * STEP_SECONDS
         back = BACK_SPEED_M_S * STEP_SECONDS * (step + 1)
+        # Where the bar will be after this control step: aiming at where it is now, the hand lags by one.
         goal = link.handle_pose(now + swing)[0] + offset - back * rot[:, 0]
         aim = ik.TipGoals(goal[None], rot[None], dofs, posture)
         yield motion.hand_action(view, aim, gripper=motion.OPEN, drive=drive)

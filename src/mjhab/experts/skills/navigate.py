@@ -79,6 +79,7 @@ class Aim(NamedTuple):
         subtask = view.subtask
         assert subtask is not None
         point = np.array(subtask.goal_pos)
+        # The base cannot enter furniture: its distance from a goal inside is longer by the depth.
         distance = WANTED_DISTANCE_M + inside_depth(view, point)
         area = view.front_area(subtask.link) if subtask.link else None
         return cls(
@@ -108,6 +109,7 @@ class Aim(NamedTuple):
         """
         xy = lattice.points
         good = self.allows(xy, LIMIT_MARGIN_M)
+        # In narrow rooms the margin may leave no place at all.
         if not good.any():
             good = self.allows(xy, 0.02)
         off = np.abs(wrap(YAWS[:, None, None] - self.bearing(xy)))
@@ -119,11 +121,16 @@ class Aim(NamedTuple):
         pay = pay + 12.0 * (
             lattice.plan.hidden(xy[good], self.point, SUPPORT_DISTANCE_M) > 0.0
         )
+        # With a short distance of tolerance the furniture that carries the goal hides it, too: a small price for
+        # working across it.
         pay = pay + 3.0 * (lattice.plan.hidden(xy[good], self.point, 0.1) > 0.0)
         pay = pay + DETOUR_PRICE_S_M * detour[good]
         clearance = lattice.clearance[:, good]
         out[:, good] = np.where(
-            off[:, good] <= MAX_GRID_BEARING_RAD, pay + 1.5 * off[:, good], np.inf
+            # Nodes have few headings: what remains is turned in place at the end.
+            off[:, good] <= MAX_GRID_BEARING_RAD,
+            pay + 1.5 * off[:, good],
+            np.inf,
         )
         out[:, good] += 10.0 * np.maximum(0.1 - clearance, 0.0)
         return out
@@ -141,9 +148,11 @@ def navigate(view: WorldView) -> Motion:
     aim = Aim.of(view)
     while True:
         yield motion.action(view, posture, gripper=gripper)
+        # Planned anew after every stop, because doors and what was touched change the map.
         trajectory = plan_trajectory(view, aim, posture, held, felt)
         if trajectory is None:
             yield from motion.hold(view, 10, gripper=gripper, goal=posture)
+            # What was felt is a guess: if it leaves no way it was wrong, or has moved.
             felt = felt[:0]
             continue
         met = yield from _drive(view, trajectory, posture, gripper)
@@ -170,6 +179,7 @@ def detours(view: WorldView, aim: Aim, points: np.ndarray) -> np.ndarray:
     )
     if aim.area is not None or inside_depth(view, aim.point) or not work.any():
         return np.zeros(points.shape[:2])
+    # Around the height of a worktop, as far as a line of sight from a work place can reach.
     walls = view.home.boxes.near(np.array([*aim.point[:2], 0.9]), 2.0)
     work[work] = in_sight(centres[work], aim.point, walls)
     if not work.any():
@@ -195,6 +205,7 @@ def plan_trajectory(
     """
     arm = Arm.of(view, posture, held)
     whole = Floorplan.of(view, arm, held, felt)
+    # The widest margins first: a narrow path is a last resort, as the follower strays from it.
     for base, less in SLIMMER_M:
         plan = whole.slimmer(base, less)
         lattice = Lattice(plan)
@@ -249,6 +260,7 @@ def _drive(
         forward, turn = follower.step(view.base)
         yield motion.action(view, posture, gripper=gripper, drive=(forward, turn))
         track.append(view.base)
+        # A short touch need not stop a drive.
         pressed = pressed + 1 if view.link_forces.sum() > BLOCKED_FORCE_N else 0
         # Commands that small may leave the base where it is.
         tried = tried + 1 if abs(forward) > 0.05 or abs(turn) > 0.2 else 0
@@ -294,12 +306,14 @@ def _back_off(
     q = view.q
     gap = np.linalg.norm(trajectory.poses[:, :2] - q[BASE_XY], axis=1)
     passed = trajectory.poses[: int(np.argmin(gap)) + 1] if len(gap) else trajectory.poses
+    # Backing off to a point nearer than this would not clear the obstacle.
     away = passed[np.linalg.norm(passed[:, :2] - q[BASE_XY], axis=1) > 0.2]
     origin = away[-1, :2] if len(away) else q[BASE_XY] - 0.2 * motion.ahead(q[BASE_YAW])
     ahead = float((origin - q[BASE_XY]) @ motion.ahead(q[BASE_YAW]))
     speed, _ = motion.base_speeds(view)
     for _ in range(14):
         wish = (float(np.copysign(0.3, ahead)), 0.0)
+        # A held object could be lost by a jerk after the contact.
         speed, _ = eased(wish, (speed, 0.0), trajectory.limits)
         yield motion.action(view, posture, gripper=gripper, drive=(speed, 0.0))
     return True
@@ -315,6 +329,7 @@ def _arrived(view: WorldView, aim: Aim) -> bool:
     q = view.q
     facing = (
         abs(float(wrap(aim.bearing(q[BASE_XY]) - q[BASE_YAW])))
+        # A small margin, because the base may still turn on after the last command.
         <= view.config.nav_bearing - 0.05
     )
     return bool(facing and aim.allows(q[BASE_XY], 0.0))

@@ -70,6 +70,7 @@ def nudge(
     rot = plan.goals.rot[goal]
     pre = plan.goals.pre[goal]
     arrived = yield from follow(view, placement.route, gripper=motion.OPEN)
+    # A drive that ran out of time may still be near enough; one that is blocked is not.
     if not arrived and view.link_forces.sum() > BLOCKED_FORCE_N:
         return False
     reach = ReachIn(placement.pre, pre, rot)
@@ -78,6 +79,7 @@ def nudge(
     ):
         return False
     joints = settle_reach(view, placement, np.stack([pre, pos]), rot)
+    # Out of reach by a little the push may still work: the controller goes as near as it can.
     rest = placement.at if joints is None else joints[1]
     hand = _PushingHand(rot, float(pos[2]), rest)
     return (yield from _push(view, obj, plan, hand, graspable))
@@ -99,6 +101,7 @@ def _push(
 ) -> Motion:
     """Push inwards, keeping to the end of the box as it turns. Returns whether the box turned."""
     start = mat_from_quat(view.object_pose(obj)[3:])
+    # Determined once: as the box turns, another side could seem to be its front.
     end = _End.of(view, obj, plan)
     turn = 0.0
     for _ in range(MAX_PUSH_STEPS):

@@ -102,6 +102,7 @@ class _Push:
     @property
     def radius(self) -> float:
         """Distance from the pushed end to the centre of rotation [m]."""
+        # Near the middle the centre of rotation would move to infinity, and the push would not turn the box at all.
         lever = max(float(self.end @ self.outer), 0.02)
         return lever + self.spin**2 / lever
 
@@ -128,12 +129,14 @@ def plan_nudge(
     """
     pose = view.object_pose(obj)
     shape = view.object_shape(obj)
+    # Only boxes that stand: a tilted one would topple, and round objects do not turn.
     if (
         shape.kind != "box"
         or np.abs(mat_from_quat(pose[3:])[2]).max() < MIN_UPRIGHT_COSINE
     ):
         return None
     for push in _pushes(pose, shape, scene, inward, graspable):
+        # The origin of an object is its centre.
         height = 2.0 * (pose[2] - scene.support_z)
         goals = _goals(view.robot.gripper, push, pose[:2], scene.support_z, height)
         for clearance, nearer in PUSH_CLEARANCES_M if len(goals) else ():
@@ -176,6 +179,7 @@ def outline(shape: ObjectShape, rot: np.ndarray) -> np.ndarray:
     i, j = level_axes(rot)
     a = rot[:2, i] * shape.half[i]
     b = rot[:2, j] * shape.half[j]
+    # Points instead of edges, so that the distance to boxes is that of spheres.
     share = np.linspace(-1.0, 1.0, 41)[:, None]
     return np.concatenate([a + share * b, -a + share * b, b + share * a, -b + share * a])
 
@@ -200,6 +204,7 @@ def _pushes(
     spin = _SPIN * float(np.linalg.norm(line, axis=1).max())
     for outer in (-across, across):
         along = line @ outer
+        # The outline is sampled, so that no point lies exactly at the inset.
         rows = np.flatnonzero(np.abs(along - (along.max() - INSET_M)) < 0.004)
         push = _Push(line[rows[np.argmin(line[rows] @ inward)]], inward, outer, spin)
         for turn in TURNS_RAD:
@@ -246,6 +251,7 @@ def _angle(
     along = [
         rot[:2, b] @ inward
         for a, b in ((i, j), (j, i))
+        # Only a side that fits between the fingers can be grasped.
         if 2 * shape.half[a] < hand.opening
     ]
     return float(np.arccos(np.clip(np.abs(along).max(initial=0.0), 0.0, 1.0)))
@@ -264,6 +270,7 @@ def _goals(
     hand: Gripper, push: _Push, centre: np.ndarray, floor: float, height: float
 ) -> HandGoals:
     """Hand poses at the end of a push, on a shelf at ``floor``, of a box of some ``height``."""
+    # The push ends by what is seen: the hand must be able to go further than planned.
     max_turn = min(push.turn + 0.25, 1.2)
     travel = (push.radius * np.sin(max_turn) + 0.02) * push.inward
     travel = travel - 0.2 * push.radius * (1.0 - np.cos(max_turn)) * push.outer
@@ -276,6 +283,7 @@ def _goals(
         palm = -hand.palm_x[1] * tilt - hand.palm_half[1] * level
         z = floor + FLOOR_GAP_M - min(fingers, palm)
         share = (z - hand.finger[0] * tilt - floor) / height
+        # A hand near the top of the box would slide over it.
         for less in STRAIGHTER_RAD if share < 0.9 else ():
             yaw = float(np.clip(push.after - less, 0.15, 0.9))
             approach = np.array(

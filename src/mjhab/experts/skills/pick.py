@@ -116,6 +116,7 @@ def pick_up(view: WorldView, obj: str, *, keep: bool = True) -> Motion:
     while True:
         found = _planned(view, obj, failed, attempt, inside)
         attempt += 1
+        # A push takes most of a subtask's time, so that it is the last thing to try.
         if found is None and nudges < MAX_NUDGES and view.steps_left > NUDGE_STEPS:
             nudges += 1
             if (yield from _nudge(view, obj)):
@@ -130,6 +131,7 @@ def pick_up(view: WorldView, obj: str, *, keep: bool = True) -> Motion:
             continue
         placement, goals, depth = found
         taken = yield from _take(view, obj, placement, goals, depth, fast=inside)
+        # Noted for one attempt only, see below.
         short = taken is None and not short
         if short:
             # The base stopped a little too far away, or the object moved: another grasp from the present base pose is
@@ -140,6 +142,7 @@ def pick_up(view: WorldView, obj: str, *, keep: bool = True) -> Motion:
             shelf = bool(depth) or inside
             if (yield from _carry(view, obj, shelf=shelf, fast=inside, keep=keep)):
                 return True
+        # The same base pose would fail again for the same reason.
         failed = np.concatenate([failed, placement.at[None, BASE]])
         yield from _draw_back(view, obj, placement, depth)
 
@@ -165,6 +168,7 @@ def _carry(view: WorldView, obj: str, *, shelf: bool, fast: bool, keep: bool) ->
 
     Returns whether the object is out and still held where it need not be kept (``keep``, see `pick_up`); else False.
     """
+    # Out of the shelf by the arm alone is faster; a Place that picks up again has to drive anyway.
     if shelf and not (keep and (yield from go_home_fast(view, obj))):
         speed = (
             FAST_SPEED_M_S if fast or view.steps_left < LATE_OUT_STEPS else OUT_SPEED_M_S
@@ -173,6 +177,7 @@ def _carry(view: WorldView, obj: str, *, shelf: bool, fast: bool, keep: bool) ->
     if not keep and holds(view, obj):
         return True
     yield from go_home(view, obj)
+    # The subtask ends by itself once the robot has been at rest with the object.
     yield from _keep(view, obj)
     return False
 
@@ -235,10 +240,12 @@ def _nudge(view: WorldView, obj: str) -> Motion:
         (p for p in view.home.receptacles if p.kind == "shelf"),
         key=lambda p: float(np.linalg.norm(pose[:3] - p.pos)),
     )
+    # A shelf is entered square to its front: of its four directions the one nearest to the robot's view.
     turns = np.round((np.arctan2(toward[1], toward[0]) - place.yaw) / (np.pi / 2))
     angle = place.yaw + turns * np.pi / 2
     inward = motion.ahead(angle)
     shape = view.object_shape(obj)
+    # What is farther away cannot meet the hand or the box as it turns.
     around = scene.beside.near(pose[:3], 0.5)
 
     def graspable(after: np.ndarray, more: float) -> int:
@@ -292,6 +299,7 @@ def _take(
             )
         ):
             return False
+    # A grasp is planned for the pose before: beyond this the fingers would close beside it.
     if np.linalg.norm(view.object_pose(obj)[:3] - start) > 0.02:
         return None if depth else False
     joints = settle_reach(
@@ -369,6 +377,7 @@ def _reach(
         yield from motion.still_tcp(
             view, goal.pre[0], goal.rot[0], gripper=opening, steps=4, until=until
         )
+    # The last piece is slow, as the object is between the fingers already.
     last = replace(straight, pos=goal.pos[0], speed=0.15 if fine else 0.2, max_steps=25)
     yield from motion.move_tcp(view, last)
     return bool(np.linalg.norm(motion.tcp(view)[0] - goal.pos[0]) <= MAX_SHORT_M)
@@ -413,6 +422,7 @@ def _keep(view: WorldView, obj: str) -> Motion:
     """Hold the object at rest until it is lost."""
     lost = 0
     goal = motion.rest_goal(view)
+    # Forces vanish for single steps while the arm moves; only a lasting loss counts.
     while lost < 4:
         yield motion.action(view, goal, gripper=motion.CLOSED)
         lost = lost + 1 if (view.finger_forces(obj) < 0.1).all() else 0
@@ -426,6 +436,7 @@ def _let_go(view: WorldView) -> Motion:
         return True
     pos, rot = motion.tcp(view)
     yield from motion.hold(view, 4, gripper=motion.OPEN)
+    # Up a little as well, because a hand that drags over the surface takes the object along.
     back = pos - 0.10 * rot[:, 0] + np.array([0.0, 0.0, 0.03])
     return (
         yield from motion.move_tcp(

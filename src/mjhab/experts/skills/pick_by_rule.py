@@ -68,6 +68,7 @@ def pick_by_rule(view: WorldView) -> Motion:
         return (yield from search.pick(view))
     placement, pos, rot = found
     follower = placement.follower()
+    # From before the grasp: this is the one thing that the rule remembers.
     height = float(view.object_pose(obj)[2])
     while True:
         drive = follower.step(view.base)
@@ -81,6 +82,7 @@ def pick_by_rule(view: WorldView) -> Motion:
             )
         else:
             turned = mat_from_quat(pose[3:])
+            # In the frame of the object, so that the hand follows one that was shoved.
             hand = turned @ rot
             funnel = Funnel(pose[:3] + turned @ pos, hand, hand[:, 0], placement.ready)
             yield _grasp(view, funnel, drive)
@@ -101,6 +103,7 @@ def _carry(view: WorldView, low: bool, drive: Drive) -> np.ndarray:
 def _grasp(view: WorldView, funnel: Funnel, drive: Drive) -> np.ndarray:
     """Action (A,) that moves the hand towards a grasp and closes the fingers there."""
     fingers = float(view.q[view.robot.columns.fingers].mean())
+    # Two thresholds, because closing fingers move the object a little, and must not open again for that.
     begun = fingers < view.robot.limits.gripper[1] - BEGUN_M
     there = funnel.distance(view) < (NEAR_GRASP_M if begun else AT_GRASP_M)
     return funnel.step(view, motion.CLOSED if there else motion.OPEN, drive)
@@ -111,6 +114,7 @@ def plan(
 ) -> tuple[RuledPlacement, np.ndarray, np.ndarray] | None:
     """Choose a base placement, and a grasp in the object's frame: tcp position (3,), rotation (3, 3); None if none."""
     pose = view.object_pose(obj)
+    # A shelf needs the straight drive in, which the rule does not know.
     if inside_depth(view, pose[:3]):
         return None
     scene = pick_plans.scene_of(view, obj)
@@ -121,6 +125,7 @@ def plan(
         options=pick_plans.OPTIONS,
     )
     every = every.take(np.flatnonzero(every.clear >= MIN_CLEAR_M))
+    # The arm must be able to lift the object from the same base pose.
     lifted = every.pos + np.array([0.0, 0.0, LIFT_M])
     before = every.pos - STANDOFF_M * every.rot[:, :, 0]
     hands = Hands(every.pos, every.rot, before, lifted, -SCORE_PRICE * every.score)

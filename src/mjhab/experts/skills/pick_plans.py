@@ -116,10 +116,12 @@ def plan_pick(
             options=OPTIONS,
         )
     every = balanced(of_kind(every, wish), pose[:3])
+    # On open surfaces the clearance of the fingers is enough; below a board the wrist is what collides.
     clearance = hand_clearance(view.robot.gripper, every, around) if depth else None
     best = None
     tried = 0
     blocked: list[Blocked] = []
+    # The strictest search is only worth its time once.
     for asked, hand, nearer in GRASP_CLEARANCES_M[min(attempt, 1) :]:
         keep = every.clear >= asked
         grasps = every.take(
@@ -142,6 +144,7 @@ def plan_pick(
             )
             found = placements(view, query, blocked)
             if found and (
+                # Among grasps of one search clearance decides: a route that collides may not arrive at all.
                 best is None or found[0].route.clearance > best[0].route.clearance
             ):
                 best = found[0], goals, back
@@ -177,6 +180,7 @@ def shelf_grasps(
             options=replace(options, inward=inward, least_clear_m=clear),
             gripper=gripper,
         )
+        # The flatter approaches only suit a rim.
         if len(found) or shape.kind != "bowl":
             break
     return found
@@ -211,6 +215,7 @@ def plan_inside(
         if not len(rows):
             continue
         goals = _diverse(every.take(rows))
+        # Straight ahead first: no turn is needed, and the base stands right after its push.
         for bases, distances in ((ahead, AHEAD_DISTANCES_M), (None, INSIDE_DISTANCES_M)):
             for back in distances:
                 query = ReachQuery(
@@ -238,6 +243,7 @@ def _cost(view: WorldView, found: tuple[BasePlacement, HandGoals, float]) -> flo
     placement, _, back = found
     steps = placement.route.steps + in_steps(back)
     home = _HOME_WEIGHT * float(motion.steps_home(view.robot, placement.at))
+    # A centimetre of deficit outweighs any number of control steps of an episode.
     return steps + home + 1e4 * max(-placement.route.clearance, 0.0)
 
 
@@ -245,6 +251,7 @@ def balanced(grasps: Grasps, centre: np.ndarray) -> Grasps:
     """Grasps with scores reduced by the lateral distance of the object's ``centre`` (3,) from the pads, best first."""
     aside = np.abs(np.einsum("gj,gj->g", centre - grasps.pos, grasps.rot[:, :, 2]))
     score = grasps.score - OFFSET_PRICE_PER_M * np.maximum(aside - FREE_OFFSET_M, 0.0)
+    # Stable, so that mirrored grasps with equal scores keep their order on every machine.
     return replace(grasps, score=score).take(np.argsort(-score, kind="stable"))
 
 
@@ -260,6 +267,7 @@ def scene_of(view: WorldView, obj: str) -> ReachScene:
 def direction_to(view: WorldView, pose: np.ndarray) -> tuple[float, float]:
     """Level unit vector from the robot to an object at ``pose`` (7,)."""
     toward = pose[:2] - view.base[:2]
+    # The object may be right above the base, where there is no direction.
     x, y = toward / max(float(np.linalg.norm(toward)), 1e-6)
     return float(x), float(y)
 
@@ -268,6 +276,7 @@ def _distances_in(depth: float, attempt: int) -> tuple[float, ...]:
     """Distances [m] of the straight drive to try, in order; later attempts begin with none, which is quicker."""
     if not depth:
         return (0.0,)
+    # The first attempt has the time to come straight in, which keeps the arm clear of the sides.
     return (0.0, depth) if attempt else (depth, 0.0)
 
 

@@ -80,6 +80,7 @@ def place(view: WorldView) -> Motion:
     while True:
         if holds(view, obj):
             yield from _bring(view, obj, goal)
+        # Where it is does not matter to the script as long as the environment counts it as placed.
         elif not view.signal("at_goal"):
             # The object was lost on the way: pick it up again.
             yield from pick_up(view, obj, keep=False)
@@ -123,6 +124,7 @@ class _PlaceSearch:
         self._obj = obj
         self._goal = goal
         self._fast = False
+        # Every search without a result moves on to the next height.
         self._nothing = 0
         """Searches without a result."""
         # On open surfaces every drop height is tried; inside furniture, failed base poses are tried once more.
@@ -136,6 +138,7 @@ class _PlaceSearch:
     def next(self) -> Found | None:
         """The best plan that is found; None if none is, and the next call searches differently."""
         best: Found | None = None
+        # Tuples compare in order: a plan in time always beats one with more clearance.
         enough = (True, MAX_DEFICIT_M)
         while True:
             found = self._plan()
@@ -191,6 +194,7 @@ def _rest(view: WorldView) -> Motion:
     """Stay at rest with an open hand while the object is at its goal. Returns when it has left it."""
     goal = motion.rest_goal(view)
     off = 0
+    # An object that rocks leaves its goal for a step or two and comes back.
     while off < 4:
         yield motion.action(view, goal, gripper=motion.OPEN)
         off = 0 if view.signal("at_goal") else off + 1
@@ -229,6 +233,7 @@ def plan_place(
         near.take(np.zeros(0, np.int64)),
         support,
         view.robot,
+        # The object is part of the robot while it is held, so that routes keep it clear, too.
         held_spheres(view, obj),
         limits_for(view, attempt.fast),
     )
@@ -280,6 +285,7 @@ def _put(
         joints, (pos, pre), rot = _beside(view, placement, goals)
         if np.linalg.norm(pos - goals.pos[placement.goal]) > MAX_BESIDE_M:
             return False
+    # One control step each, until the arm has the speed of the plan.
     for speed in SOFT_START:
         yield from motion.move_joints(
             view, joints[0], gripper=closed, tolerance=0.04, max_steps=1, speed=speed
@@ -287,6 +293,7 @@ def _put(
     yield from motion.move_joints(
         view, joints[0], gripper=closed, tolerance=0.04, max_steps=20
     )
+    # Without the torso, which is slow to stop and would overshoot downwards.
     near = motion.HandMove(
         pos=pre,
         rot=rot,
@@ -323,6 +330,7 @@ def _release(
     yield from motion.still_tcp(
         view, at.pos, at.rot, gripper=opening, steps=5, until=until
     )
+    # Along the fingers first; upwards only if the object still clings to them.
     for back in (drawn_back(view, obj, at.pos, at.rot, posture), above):
         away = motion.HandMove(
             pos=back,
@@ -351,6 +359,7 @@ def _beside(
         the tcp rotation (3, 3) at the release pose.
     """
     q = np.stack([placement.pre, placement.at])
+    # The arm as planned, the base where it is: the hand is off by the same error.
     q[:, BASE] = view.base
     chain = view.robot.chain
     frames = chain.forward(q)

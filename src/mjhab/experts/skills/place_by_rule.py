@@ -90,6 +90,7 @@ def place_by_rule(view: WorldView) -> Motion:
 def _away(view: WorldView, funnel: Funnel, held: bool) -> np.ndarray:
     """Action (A,) that opens the fingers while the object is ``held``, then moves the hand back along its axis."""
     here, rot = motion.tcp(view)
+    # Fingers that have not opened yet would carry the object along.
     aim = funnel.pos if held else here - AWAY_STEP_M * rot[:, 0]
     return move_hand(view, aim, rot, motion.OPEN, (0.0, 0.0), funnel.ready)
 
@@ -103,8 +104,10 @@ def plan(
     near, _ = surroundings(view, obj, goal)
     goals = clear_hand_goals(view, obj, goal, near, Release(shelf=False, any_side=False))
     support = float(goal[2]) - view.object_type(obj).half[2]
+    # There is no object to reach for: what is held moves with the hand.
     nothing = near.take(np.zeros(0, np.int64))
     scene = ReachScene(near, nothing, support, view.robot, held_spheres(view, obj))
+    # The hand must find its way back, too: a release that it cannot leave is none.
     away = goals.pos - AWAY_M * goals.rot[:, :, 0]
     above = goals.pos - STANDOFF_M * DOWN
     hands = Hands(goals.pos, goals.rot, above, away, -SCORE_PRICE * goals.score)

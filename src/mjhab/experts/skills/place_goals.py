@@ -136,6 +136,7 @@ def hand_goals(
             score.append(price - OFF_PRICE_PER_M * off)
     at = np.array(pos)
     pre = at + np.array([0.0, 0.0, SHELF_ABOVE_M if release.shelf else ABOVE_M])
+    # The fingers are around the object: their present width is the one to check.
     width = np.full(len(at), 2.0 * float(view.q[view.robot.columns.fingers].mean()))
     return HandGoals(at, np.array(rot), pre, width, np.array(score))
 
@@ -153,6 +154,7 @@ def _spots(view: WorldView, goal: np.ndarray, release: Release) -> list[np.ndarr
     offsets = LAST_OFFSETS if release.any_side else OFFSETS
     offsets = SHELF_OFFSETS if release.shelf else offsets
     spots = [goal[:2] + near * back + left * aside for near, left in offsets]
+    # The goal itself is kept in any case: the environment sampled it, whatever the map of surfaces says.
     return [spots[0], *(spot for spot in spots[1:] if _on_surface(view, goal, spot))]
 
 
@@ -161,6 +163,7 @@ def _orientations(
 ) -> Iterator[tuple[np.ndarray, float]]:
     """Orientations (3, 3) of the object at its release, with their score: sides, turned about, then tilted."""
     count = SHELF_YAWS if release.shelf else YAWS
+    # Without the end point, which is the same as the first.
     yaws = np.arange(count) * 2 * np.pi / count
     turns = mat_from_rotation_vector(yaws[:, None] * np.array([0.0, 0.0, 1.0]))
     tilts = BALL_TILTS if shape.kind == "sphere" else TILTS
@@ -178,6 +181,7 @@ def _orientations(
 def _tilt_price(view: WorldView, shape: ObjectShape, shelf: bool) -> float:
     """Score that a hand pose loses per radian that the object is tilted: tall ones fall over when they are released."""
     if shape.kind == "sphere":
+        # A ball has no side to fall on: hardly any price, so that the arm can choose.
         return 0.2
     price = LEAN_PRICE if shelf else 2.0 + 2.0 * shape.half[2] / min(shape.half)
     return price * (STUCK_FACTOR if play(view) < TIGHT_PLAY_M else 1.0)
@@ -204,7 +208,9 @@ def _sides(every: bool) -> list[tuple[np.ndarray, float]]:
 def _on_surface(view: WorldView, goal: np.ndarray, xy: np.ndarray) -> bool:
     """Whether ``xy`` (2,) lies on the receptacle that ``goal`` (3,) is on."""
     for place in view.home.receptacles:
+        # The goal is the centre of the object, up to half of the tallest object above its surface.
         level = -0.05 < goal[2] - place.pos[2] < 0.25
         if level and (np.abs(place.local(goal[:2])) < np.array(place.half)).all():
+            # A margin at the edge, because an object that is let go of may tip a little.
             return bool((np.abs(place.local(xy)) < np.array(place.half) - 0.02).all())
     return False

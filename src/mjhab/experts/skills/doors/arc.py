@@ -76,6 +76,7 @@ class Hitch:
 
     def stops(self, view: WorldView, at_end: bool) -> bool:
         """Whether to give up in this control step; ``at_end``: the hand aims at the end of the path."""
+        # A single hard step is an impact, after which the motion can go on; only a lasting force is a jam.
         self.jammed = self.jammed + 1 if view.link_forces.sum() > JAMMED_FORCE_N else 0
         self.late = self.late + 1 if at_end else 0
         return self.jammed > JAMMED_STEPS or self.late > MAX_LAG_STEPS
@@ -90,9 +91,12 @@ def arc_step(path: LinkPath, angle: float, swing: float, joint_step: float) -> f
         swing: largest change, negative while the door closes [rad].
         joint_step: motion of an arm joint per control step [rad].
     """
+    # Over a longer piece of the arc than one step, because the path is piecewise linear and its slope jumps at way
+    # points.
     ahead = float(np.copysign(0.1, swing))
     motions = np.abs(path.at(angle + ahead) - path.at(angle))
     fastest = float(motions[list(path.robot.arm_columns)].max())
+    # The arm may stand still over a piece that the base does alone: without the bound this divides by 0.
     return min(abs(swing), 0.1 * joint_step / max(fastest, 1e-6))
 
 
@@ -127,6 +131,7 @@ def reachable(
     free = np.array([g for g in goals if spheres.clearance(g, walls).min() > least])
     if not len(free):
         return None
+    # The route ends before the edge of the door: from there the hand goes straight in.
     before = withdrawn(view.robot, free[:, 0], back) if back > 0 else None
     ends = free[:, 0] if clear is None or before is None else before
     best = approach.best_route(view, ends, before, link if back > 0 else None)
@@ -135,6 +140,7 @@ def reachable(
 
 def _distinct(base: np.ndarray) -> np.ndarray:
     """Indices of the first base pose (N, 3) in every grid cell of 0.1 m, 0.1 m, 0.2 rad, in ascending order."""
+    # The first of each cell is the best one, because the poses come in the order of their rank.
     _, first = np.unique(np.round(base / [0.1, 0.1, 0.2]), axis=0, return_index=True)
     return np.sort(first)
 
@@ -147,6 +153,7 @@ def withdrawn(body: Robot, q: np.ndarray, back: float) -> np.ndarray:
         robot,
         ik.TipGoals(pos - back * rot[:, :, 0], rot, ik.columns(robot), q[0]),
         q[:, None],
+        # Without a pull to the rest posture: the solution shall stay on the branch that it starts from.
         options=ik.Options(iterations=25, rest_gain=0.0),
     )
     # A solution far off is another branch, to which no straight line leads.
@@ -169,6 +176,7 @@ def from_angle(
 
     Motions that start at a smaller angle stay as they are.
     """
+    # The angles of a closing motion descend, and searchsorted needs ascending values.
     k = int(np.searchsorted(-angles, -min(start, angles[0])))
     if k == 0:
         return found, angles
@@ -196,6 +204,7 @@ def straight_in(view: WorldView, path: LinkPath, entry: HandEntry) -> Motion:
         off = float(np.linalg.norm(aside))
         if back < entry.entered:
             return True
+        # Full speed within the tolerance, none beyond twice of it: a threshold alone would make the hand jerk.
         slow = float(np.clip(2.0 - off / entry.in_line, 0.0, 1.0))
         ahead = min(back, ENTER_STEP_M) * slow
         goal = here + ahead * rot[:, 0] + min(1.0, ENTER_STEP_M / max(off, 1e-9)) * aside
@@ -206,6 +215,7 @@ def straight_in(view: WorldView, path: LinkPath, entry: HandEntry) -> Motion:
             view,
             ik.TipGoals(goal[None], aim_rot, ik.columns(robot), wish, "approach"),
             gripper=motion.CLOSED,
+            # The base still settles on its way point, which is what puts the hand beside its line.
             drive=approach.base_towards(view, wish),
             rest_gain=0.1,
         )
@@ -214,6 +224,7 @@ def straight_in(view: WorldView, path: LinkPath, entry: HandEntry) -> Motion:
 
 def coasts(speed: float) -> float:
     """Angle [rad] by which a released door swings on at a closing speed [rad/s], see `COAST_TIME_S`."""
+    # The first step has no angle before it, so that its speed is infinite.
     if not 0.0 < speed < np.inf:
         return 0.0
     return COAST_TIME_S * (

@@ -58,8 +58,10 @@ def from_edge(view: WorldView, link: JointedLink) -> LinkPath | None:
     now = view.link_q(link.id)
     angle = ANGLE_STEP_RAD * float(np.ceil((now + AHEAD_RAD) / ANGLE_STEP_RAD))
     search = functools.partial(edge_motions, angle=angle)
+    # The key names the angle that the search was made for, as motions for another one begin elsewhere.
     found = link_motions.cached(view.robot, link, f"edge {angle:.2f}", search)
     found, angles = from_angle(view.robot, found, edge_angles(angle), now + AHEAD_RAD)
+    # The motion with more room comes first: close to the wall an error of the base pose means a contact.
     for clear in CLEAR_M:
         path = reachable(view, link, found, angles, BEHIND_WAY_M, clear)
         if path is not None:
@@ -75,6 +77,7 @@ def edge_angles(angle: float) -> np.ndarray:
 def edge_motions(robot: Robot, link: JointedLink, angle: float) -> LinkMotions:
     """Find motions that push a door shut from an angle [rad], with the fingertips past its free edge at first."""
     angles = edge_angles(angle)
+    # Clipped, because the last way point lies beyond the closed door.
     share = np.clip(1.0 - angles / angle, 0.0, 1.0)
     first = angle - LEAN_RAD
     yaw = first + (SHUT_YAW_RAD - first) * share
@@ -89,6 +92,7 @@ def edge_motions(robot: Robot, link: JointedLink, angle: float) -> LinkMotions:
     pos = _hand_positions(robot, link, angles, angles - yaw)
     forward = -np.stack([np.cos(yaw), m * np.sin(yaw), 0.0 * yaw], axis=-1)
     found = []
+    # The fingers are symmetric: upside down the wrist may have room where it has none upright.
     for up in (1.0, -1.0):
         rot = link_motions.hand(forward, np.array([0.0, 0.0, up]))
         hands = motions.HandPath(pos, rot, angles)

@@ -63,9 +63,11 @@ def close_door(view: WorldView, link: JointedLink) -> Motion:
     With the style ``close=push`` the hand pushes the door all the way. Both are repeated while the door is ajar. With
     ``close=sweep`` the base drives against the door with the arm at rest, where there is room for it.
     """
+    # A sweep that fails leaves the door partly open, from where the hand goes on.
     if style_of(view).close == SWEEP:
         yield from sweep(view, link)
     throws = style_of(view).close != PUSH
+    # In less time than this no motion ends with the arm at rest, and another attempt would leave the hand at the door.
     while view.steps_left > 40 and view.link_q(link.id) > AJAR_SHARE * link.range[1]:
         now = view.link_q(link.id)
         path, enter = from_outside(view, link), _reach_behind
@@ -125,6 +127,7 @@ def _push_shut(
     aim = min(float(path.values[0]), view.link_q(link.id) + PRESS_AHEAD_RAD)
     end = float(path.values[-1])
     hitch = Hitch()
+    # No speed is known in the first step: it must not count as a door at rest.
     last = np.inf
     shut = 0
     for _ in range(ARC_STEPS):
@@ -140,6 +143,7 @@ def _push_shut(
         step = arc_step(path, aim, -MAX_SWING_RAD, JOINT_STEP_RAD)
         if not throws:
             step = min(step, PUSH_STEP_RAD[0] + PUSH_STEP_RAD[1] * max(now, 0.0))
+        # A goal that ran away from a door that is held up would strike it once it is free.
         if now - aim < PRESS_AHEAD_RAD + PUSH_LEAD_RAD:
             aim = max(aim - step, end)
         if hitch.stops(view, aim == end):

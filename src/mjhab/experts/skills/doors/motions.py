@@ -52,7 +52,9 @@ def pull_angles(link: JointedLink, further: float = 0.0) -> np.ndarray:
     ``further``: share of the range beyond `OPEN_TO_SHARE` to which the door is pulled.
     """
     return np.append(
-        -0.01, np.linspace(0.0, (OPEN_TO_SHARE + further + 0.03) * link.range[1], 9)
+        # A value of its own for the hand before the bar, so that the path is a function of the door angle there, too.
+        -0.01,
+        np.linspace(0.0, (OPEN_TO_SHARE + further + 0.03) * link.range[1], 9),
     )
 
 
@@ -64,6 +66,7 @@ def push_angles(link: JointedLink, half: bool) -> np.ndarray:
 
 def hand_side(link: JointedLink) -> float:
     """1 for a door with its bar at negative y, the left as seen from outside; -1 for its mirror image."""
+    # The hinge lies opposite to the bar, and the plan frame has its origin at the hinge.
     return -float(np.sign(link.handle.pos[1]))
 
 
@@ -73,6 +76,7 @@ def _inward(link: JointedLink) -> float:
     (low, high) = panel(link)
     edge = (low if m > 0 else high)[1]
     lack = FROM_EDGE_M - abs(edge - link.handle.pos[1])
+    # Less than a millimetre would only make another key of cached motions for no difference in contact.
     return m * lack if lack > 0.001 else 0.0
 
 
@@ -119,6 +123,7 @@ def _in_reach(robot: Robot, base: np.ndarray, hands: np.ndarray) -> np.ndarray:
 def panel(link: JointedLink) -> tuple[np.ndarray, np.ndarray]:
     """Least and greatest corner (3,) of the closed door's largest box, its panel."""
     boxes = link.boxes(0.0)
+    # Handles and frames are boxes of the door as well, and all are smaller than the panel.
     k = int(np.argmax(boxes.half.prod(axis=1)))
     reach = np.abs(boxes.rot[k]) @ boxes.half[k]
     return boxes.center[k] - reach, boxes.center[k] + reach
@@ -127,6 +132,8 @@ def panel(link: JointedLink) -> tuple[np.ndarray, np.ndarray]:
 def _carcass(link: JointedLink) -> Boxes:
     """Box of the furniture behind the closed door."""
     low, high = panel(link)
+    # The boxes of the home are not known here: motions are cached per link for all homes, so a block of usual depth
+    # stands for the body.
     middle = np.array([low[0] - 0.006 - 0.31, (low[1] + high[1]) / 2, 0.975])
     return Boxes(
         middle[None], np.array([[0.31, (high[1] - low[1]) / 2, 0.975]]), np.eye(3)[None]
@@ -168,6 +175,7 @@ def search(
 
     ``tries``: see `link_motions.track`. ``mode``: part of the orientation that counts, see `ik.Mode`.
     """
+    # Inverse kinematics takes nearly all of the time, and most base paths fail by their distance alone.
     base = base[_in_reach(robot, base, hands.pos)]
     n = len(base)
     paths = HandPaths(
@@ -192,6 +200,7 @@ def pull_motions(robot: Robot, link: JointedLink, further: float = 0.0) -> LinkM
     """
     angles = pull_angles(link, further)
     grip = np.array([link.handle_pose(max(a, 0.0))[0] for a in angles])
+    # The bar is long: any height of it will do, and this one needs less of the arm.
     grip[:, 2] += ABOVE_MIDDLE_M
     share = np.clip(angles / angles[-1], 0.0, 1.0)
     m = hand_side(link)
@@ -207,6 +216,7 @@ def pull_motions(robot: Robot, link: JointedLink, further: float = 0.0) -> LinkM
     )
     found = []
     for first, last in (
+        # A thick bar cannot turn between the pads, so that the hand has to turn with the door.
         ((0.0, 0.6), (0.0, 1.2), (0.15, 0.7)) if thick else ((0.4, 0.6), (0.8, 0.7))
     ):
         yaw = m * (first + (last - first) * share)
@@ -232,6 +242,7 @@ def _push_motions(robot: Robot, link: JointedLink, half: bool) -> LinkMotions:
     """Motions with the closed fingers on the outside of the door above its bar, from the open to the closed door."""
     angles = push_angles(link, half)
     share = np.clip(1.0 - angles / angles[0], 0.0, 1.0)
+    # Negative: the base faces the furniture and drives towards it while the door shuts.
     lengths = (-1.0, -0.8, -0.6, -0.4)
     m = hand_side(link)
     headings = m * np.array([0.2, 0.45, 0.7, 0.95, 1.2])
@@ -247,6 +258,7 @@ def _push_motions(robot: Robot, link: JointedLink, half: bool) -> LinkMotions:
     found = []
     for first, last in PUSH_YAWS_RAD if half else PUSH_YAWS_RAD[1:]:
         yaw = first + (last - first) * share
+        # The angle between fingers and door decides how far their thickness reaches beyond the tips.
         lag = angles - yaw
         gap = (
             face + tip * np.abs(np.cos(lag)) + side * np.abs(np.sin(lag)) - handle.pos[0]

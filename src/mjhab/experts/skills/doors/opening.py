@@ -77,9 +77,11 @@ def open_door(view: WorldView, link: JointedLink) -> Motion:
     job = f"pull {further}" if further else "pull"
     search = functools.partial(motions.pull_motions, further=further)
     while view.steps_left > 40:
+        # Looked at first: an earlier attempt, or another policy, may have opened it already.
         if leaving.stays_open(view, link, enough):
             if (yield from leaving.retract_beside(view, link, enough, motion.CLOSED)):
                 return True
+            # With the fingers closed on the bar, which keeps the door from falling shut.
             yield from leaving.settle(view, link, motion.CLOSED)
             continue
         found = link_motions.cached(view.robot, link, job, search)
@@ -91,6 +93,7 @@ def open_door(view: WorldView, link: JointedLink) -> Motion:
             for spare in (AROUND_BAR_M, LET_GO_BAR_M)
         )
         yield from follow(view, path.route, gripper=around)
+        # The first way point is before the bar, the second one on it.
         rot = path.hand_at(path.values[1])[1]
         if (
             yield from approach.take(
@@ -98,6 +101,7 @@ def open_door(view: WorldView, link: JointedLink) -> Motion:
             )
         ):
             yield from _pull_open(view, link, path, end)
+        # A hand that held on would stop the door, or be pulled along.
         if leaving.swings(view, link):
             yield from leaving.swing_on(view, link)
             continue
@@ -114,6 +118,7 @@ def _way_open(
     """The motion that opens a door, see `reachable`; its first half alone where a wall leaves no room for the hand at
     the end, and the door is free to swing on."""
     path = reachable(view, link, found, angles)
+    # Only a free door swings on from the middle of its range; a braked one would stop there.
     if path is None and view.links_run_free:
         half = LinkMotions(found.q[:, :HALF_POINTS], found.steps, found.back)
         path = reachable(view, link, half, angles[:HALF_POINTS])
@@ -128,6 +133,7 @@ def _pull_open(view: WorldView, link: JointedLink, path: LinkPath, goal: float) 
     Returns False when the hand loses the door, or the motion is stuck.
     """
     aim = float(path.values[1])
+    # A path of half the way ends before the door is open enough, and its end counts then.
     end = float(path.values[-1])
     # At the end of its path the hand stands, and so does the door.
     enough = min(OPEN_ENOUGH_SHARE * link.range[1], end - SWING_SPARE_RAD)
@@ -149,7 +155,9 @@ def _pull_open(view: WorldView, link: JointedLink, path: LinkPath, goal: float) 
 
 def _has_lost(view: WorldView, link: JointedLink) -> bool:
     """Whether the fingers do not touch the handle and the tcp is beside it, measured horizontally."""
+    # One finger is enough: the bar lies against one of the two while the door is pulled.
     if view.finger_forces(link.id).any():
         return False
     handle = link.handle_pose(view.link_q(link.id))[0]
+    # Seen from above, because the hand may hold the upright bar at any height.
     return bool(np.linalg.norm(motion.tcp(view)[0][:2] - handle[:2]) > LOST_M)

@@ -72,17 +72,20 @@ def sweep(view: WorldView, link: JointedLink) -> Motion:
     still = 0
     for _ in range(SWEEP_STEPS):
         now = view.link_q(link.id)
+        # A slowed script sees longer control steps, so that the same motion is slower in its time.
         speed = style_of(view).speed * (last - now) / STEP_SECONDS
         still = still + 1 if abs(now - last) < AT_REST_RAD else 0
         last = now
         left = end[:2] - view.base[:2]
         ahead = float(left @ motion.ahead(end[2]))
         shut = now < AJAR_SHARE * link.range[1]
+        # A door that has just shut may bounce open, and one that stands still may only wait for the robot.
         if still > PRESS_STEPS and (shut or ahead < SWEPT_M):
             break
         drive = 0.0
         if not shut and coasts(speed) < now + COAST_SPARE_RAD:
             drive = min(SWEEP_SPEED_M_S, 0.2 + 0.35 * now, 3.0 * max(ahead, 0.0))
+        # Close to the end the direction to it depends on the last millimetres.
         aim = np.arctan2(left[1], left[0]) if ahead > 0.4 else end[2]
         turn = float(np.clip(3.0 * wrap(aim - view.base[2]), -0.6, 0.6))
         yield motion.action(
@@ -107,22 +110,26 @@ def sweeps(robot: Robot, link: JointedLink, angle: float) -> LinkMotions:
     """
     low, high = panel(link)
     m = hand_side(link)
+    # What passes above or below the door does not push it.
     centers, radius = _resting_circles(robot, float(low[2]), float(high[2]))
     base = _drives(m)
     c = np.cos(base[..., 2, None])
     s = np.sin(base[..., 2, None])
     x = base[..., 0, None] + c * centers[:, 0] - s * centers[:, 1]
+    # Mirrored doors are computed as doors of the other side, so that one formula serves both.
     y = m * (base[..., 1, None] + s * centers[:, 0] + c * centers[:, 1])
     gap = radius + high[0]
     far = np.hypot(x, y)
     bearing = np.arctan2(y, x)
     meets = far**2 - gap**2 < (float(np.abs([low[1], high[1]]).max()) + radius) ** 2
+    # A circle nearer to the hinge than its radius has no tangent: 1 stands for a door that touches it at its bearing.
     widest = bearing + np.arccos(np.minimum(gap / np.maximum(far, 1e-9), 1.0))
     widest = np.where(meets, widest, np.inf).min(axis=2)
     # Positions before the last one that is clear of the door do not matter: the sweep begins there.
     first = _last_clear(widest > angle + SWEEP_CLEAR_RAD)
     row = np.arange(base.shape[1])
     door = np.where(row <= first[:, None], angle, np.minimum(widest, angle))
+    # A door that nothing pulls stays where it was pushed to, although the robot moves on.
     door = np.minimum.accumulate(door, axis=1)
     before = np.c_[np.full(len(door), angle), door[:, :-1]]
     outside = far * np.cos(before[..., None] - bearing) - high[0]
@@ -170,5 +177,6 @@ def _resting_circles(
     rest = robot.rest.copy()
     rest[BASE] = 0.0
     centers = whole.centers(whole.chain.forward(rest[None]))[0]
+    # Spheres that only graze the height count as well: to miss a contact is worse than to expect one.
     there = (centers[:, 2] + whole.radius > low) & (centers[:, 2] - whole.radius < high)
     return centers[there, :2], whole.radius[there]

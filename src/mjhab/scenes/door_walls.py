@@ -54,6 +54,7 @@ def with_door_walls(pack: Pack, versions: int) -> Pack:
     passage of `PASSAGE_M`. Drawers pass through it, as through all walls. Equal arguments give the same object while
     the pack is held.
     """
+    # The same object, so that nothing that is cached for the pack is made anew.
     if not versions:
         return pack
     return pack.derived.get(("door walls", versions), lambda: _extended(pack, versions))
@@ -73,6 +74,7 @@ def _versions(home: Home, pack: Pack, versions: int) -> Iterator[Home]:
     doors = _doors(home, pack)
     around = {door.at: solids_near(home, pack, door.at, closed=True) for door in doors}
     for number in range(versions if doors else 0):
+        # Per version, so that more versions leave the first ones as they are.
         rng = stream(0, "door wall", home.pack, home.name, number)
         for _ in range(_TRIES):
             door = doors[rng.integers(len(doors))]
@@ -102,6 +104,7 @@ def _doors(home: Home, pack: Pack) -> list[_Door]:
         if link.joint == "hinge"
     ]
     roles = roles_of(pack, home).links.values()
+    # Doors that no task opens would make versions that differ in nothing that matters.
     return [door for door in doors if door.id in roles] or doors
 
 
@@ -122,6 +125,7 @@ class _Door:
         out = np.array(self.link.handle.out[:2])
         out = out / np.linalg.norm(out)
         away = np.array([out[1], -out[0]])
+        # The handle is on the side of the door that is far from the hinge.
         away *= -np.sign(away @ np.array(self.link.handle.pos[:2]))
         cos, sin = np.cos(self.at.yaw), np.sin(self.at.yaw)
         return np.array([out, away]) @ np.array([[cos, sin], [-sin, cos]])
@@ -160,6 +164,7 @@ def _panel(
     face = float(opened[:, 1].max())
     end = reach + length
     whole = door.area((-reach, end), (face, face + THICKNESS_M))
+    # The furniture itself stands there as well: the panel begins in front of all of it.
     met = [door.local(s.corners)[:, 0].max() for s in around if s.meets(whole)]
     start = max([-reach, *(float(front) + _GAP_M for front in met)])
     sides = (face - PASSAGE_M, face + THICKNESS_M + PASSAGE_M)
@@ -175,6 +180,7 @@ def _limits(home: Home, pack: Pack, wall: Geom) -> tuple[tuple[str, float], ...]
     limits = dict(home.open_limits)
     (found,) = wall_limits([replace(home, walls=(wall,))], pack)
     for name, limit in found:
+        # Walls of the home may stop another door before.
         limits[name] = min(limit, limits.get(name, limit))
     return tuple(limits.items())
 

@@ -66,6 +66,7 @@ def free_camera(camera: Any, look_at: Any, fov_deg: float) -> FreeCamera | None:
     Raises:
         UsageError: a value is none, ``look_at`` comes without ``camera``, or both are the same place.
     """
+    # NaN, which differs from every place, stands for the default of the caller.
     target = np.full(3, np.nan) if look_at is None else place_of("look_at", look_at)
     if camera is None:
         if look_at is not None:

@@ -50,15 +50,18 @@ class FreeMap:
         """Compute the cells (X, Y) bool where a disc of ``radius`` [m] fits, restricted to the largest component."""
         fits = self.clearance >= radius
         pieces = np.empty(fits.shape, np.int32)
+        # With diagonal neighbours, along which paths lead as well.
         label(fits, structure=np.ones((3, 3)), output=pieces)
         if not fits.any():
             return fits
         sizes = np.bincount(pieces.ravel())
+        # Label 0 is everything that is not free, mostly the largest.
         sizes[0] = 0
         return pieces == sizes.argmax()
 
     def to_cell(self, xy: np.ndarray) -> np.ndarray:
         """Convert world positions (..., 2) [m] to cell indices (..., 2) int, clipped to the raster."""
+        # Floor instead of a cast, which would round negative positions towards the raster.
         index = np.floor(
             (np.asarray(xy, float) - np.array(self.origin)) / self.cell
         ).astype(int)
@@ -115,6 +118,7 @@ class FreeMap:
         """Compute the lengths (V, V) float32 [m] of the shortest paths between cells (V, 2) of `navigable`."""
         graph = self._ways[0]
         nodes = cells[:, 0] * self.blocked.shape[1] + cells[:, 1]
+        # In parts, since a row holds the distances to all cells of the home.
         found = [
             np.asarray(dijkstra(graph, directed=False, indices=part))[:, nodes]
             for part in np.array_split(nodes, max(1, len(nodes) // _ROWS))
@@ -127,6 +131,7 @@ class FreeMap:
         node = int(nearest[x, y])
         along = np.asarray(dijkstra(graph, directed=False, indices=node))
         source = self.to_xy(np.array(divmod(node, self.blocked.shape[1])))
+        # Only a goal off the free floor is replaced; within a cell the difference would be noise.
         apart = float(np.linalg.norm(source - goal)) if off[x, y] else 0.0
         # The centres of cells along x and y: the raster of all of them would be made anew for every goal.
         dx, dy = (
@@ -136,7 +141,9 @@ class FreeMap:
             )
         )
         straight = np.sqrt((dx * dx)[:, None] + dy * dy)
+        # No path is shorter than the straight line; near the goal, centres of cells could suggest one.
         field = np.maximum(along[nearest] + off + apart, straight)
+        # Read-only, because all who ask share it.
         return _frozen(field.astype(np.float32))
 
     def places(self, radius: float) -> np.ndarray:
@@ -211,11 +218,13 @@ def look_up(
     last = shape - 1
     wanted = (xy - origin) / cell[:, None] - 0.5
     at = np.clip(wanted, 0.0, last)
+    # At the last row the cell before it: the pair to interpolate between must exist.
     low = np.minimum(at.astype(int), np.maximum(last - 1, 0))
     (i, j) = low.T
     (k, m) = np.minimum(low + 1, last).T
     (u, v) = (at - low).T
     w = np.arange(len(fields))
+    # The distance past the edge is added, so that a base outside of the raster does not seem nearer.
     near, far = ((1 - v) * fields[w, row, j] + v * fields[w, row, m] for row in (i, k))
     return (1 - u) * near + u * far + np.linalg.norm(wanted - at, axis=1) * cell
 
@@ -237,6 +246,7 @@ def free_map(home: Home, pack: Pack, cell: float = 0.05) -> FreeMap:
     x0, y0, x1, y1 = home.floor
     origin = (x0 - _BORDER_M, y0 - _BORDER_M)
     shape = tuple(
+        # A length that is a whole number of cells, up to rounding, gets no further cell.
         int(np.ceil((hi - lo + 2 * _BORDER_M) / cell - 1e-9))
         for lo, hi in ((x0, x1), (y0, y1))
     )
@@ -244,9 +254,12 @@ def free_map(home: Home, pack: Pack, cell: float = 0.05) -> FreeMap:
     _fill(blocked, blocking_polygons(home, pack), np.array(origin), cell)
     xs = origin[0] + (np.arange(shape[0]) + 0.5) * cell
     ys = origin[1] + (np.arange(shape[1]) + 0.5) * cell
+    # Outside of the floor nobody can drive, even where no wall is modelled.
     blocked |= ~(((xs > x0) & (xs < x1))[:, None] & ((ys > y0) & (ys < y1))[None, :])
     clearance = np.maximum(
-        np.asarray(distance_transform_edt(~blocked)) * cell - cell / 2, 0.0
+        # Distances go between centres, and an obstacle begins half a cell before its centre.
+        np.asarray(distance_transform_edt(~blocked)) * cell - cell / 2,
+        0.0,
     )
     return FreeMap(origin, cell, blocked, clearance)
 
@@ -292,6 +305,7 @@ def reach(
             )
             u, v = np.meshgrid(np.linspace(0.0, 1.0, 5), np.linspace(0.0, 1.0, 7))
             grid = a + u.ravel()[:, None] * (b - a) + v.ravel()[:, None] * (d - a)
+            # Without floor to stand on everything is out of reach.
             far = np.full(len(grid) + 1, np.inf)
             if stand is not None:
                 far = np.asarray(stand.query(np.vstack([(b + d) / 2, grid]))[0])
@@ -333,6 +347,7 @@ def _fill_alike(
     ends = np.roll(polygons, -1, axis=1)
     for a, b in zip(polygons.swapaxes(0, 1), ends.swapaxes(0, 1), strict=True):
         normal = np.stack([b[:, 1] - a[:, 1], a[:, 0] - b[:, 0]], axis=1)
+        # A square reaches this far towards an edge; cells that only touch the polygon stay free.
         slack = cell / 2 * np.abs(normal).sum(axis=1) - 1e-9
         away = (x - a[own, 0]) * normal[own, 0] + (y - a[own, 1]) * normal[own, 1]
         inside &= away < slack[own]

@@ -41,6 +41,7 @@ def check_home(source: Path, pack: Pack, home: Home) -> None:
     Raises:
         UsageError: the home fails a check, see `mjhab.scenes.home_files.home_pack`.
     """
+    # Numbers first: footprints of absurd sizes would exhaust memory.
     with about(source):
         _check_numbers(home)
     _check_singles(source, home)
@@ -99,6 +100,7 @@ def _check_overlaps(source: Path, pack: Pack, home: Home) -> None:
         area = footprint(placement, template)
         if area is None:
             continue
+        # Pieces in files stand flush with walls, up to a digit.
         area = _shrunk(area)
         name = _named(placement)
         for other, space in taken:
@@ -119,6 +121,7 @@ def _shrunk(area: FloorPolygon) -> FloorPolygon:
     middle = area.corners.mean(axis=0)
     away = area.corners - middle
     size = np.linalg.norm(away, axis=1, keepdims=True)
+    # Corners move along the diagonal, by the square root of 2 times what sides move.
     corners = middle + away * np.maximum(1.0 - np.sqrt(2.0) * MAX_OVERLAP_M / size, 0.0)
     low, high = area.z
     return FloorPolygon(area.name, corners, (low + MAX_OVERLAP_M, high - MAX_OVERLAP_M))

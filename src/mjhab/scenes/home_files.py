@@ -168,6 +168,7 @@ def home_pack(*files: Path | str, name: str = "") -> Pack:
         builtin_objects(),
         {**furniture_meshes(), **object_meshes()},
     )
+    # Receptacles of all files first: homes of one pack share their furniture.
     for file, stated in read:
         _check_names(pack, stated, file)
         pack = _with_receptacles(pack, stated, file)
@@ -213,6 +214,7 @@ def _body(file: Path) -> Any:
     )
     if file.suffix == ".json":
         return read_json(file)
+    # Read once for its checks: running it would report a missing file less clearly.
     read_bytes(file)
     try:
         found = runpy.run_path(str(file))
@@ -224,6 +226,7 @@ def _body(file: Path) -> Any:
     if PYTHON_NAME not in found:
         raise fault(file, f"has no variable {PYTHON_NAME}, which holds the home.")
     try:
+        # Through JSON, so that both kinds of file are checked alike, and tuples become lists.
         return json.loads(json.dumps(found[PYTHON_NAME]))
     except (TypeError, ValueError) as error:
         raise fault(file, f"{PYTHON_NAME} is no plain data ({error}).") from error
@@ -270,6 +273,7 @@ def _with_receptacles(pack: Pack, stated: HomeFile, file: Path) -> Pack:
                 raise unknown_name(kind, record.name, names, where=f"{where}.name")
             continue
         new = _new_receptacle(record, where)
+        # The same receptacle may stand in the files of several homes.
         if present not in (None, new):
             raise fault(
                 where,
@@ -361,6 +365,7 @@ def _inner_wall(wall: FileWall, walls: FileWalls, where: str) -> list[Geom]:
     quat = (math.cos(yaw / 2), 0.0, 0.0, math.sin(yaw / 2))
     pieces = []
     for a, b in zip(stops[::2], stops[1::2], strict=True):
+        # A doorway at the end of a wall leaves a piece of no length.
         if b - a < MIN_WALL_PIECE_M:
             continue
         middle = (a + b) / 2
@@ -381,6 +386,7 @@ def _opened(file: Path, changed_ns: int) -> Pack:
 
 def _open(request: PackRequest) -> Pack:
     file = Path(request.place).resolve()
+    # By its time of change as well, since people edit such a file between runs in one process.
     return _opened(file, file.stat().st_mtime_ns)
 
 
@@ -389,6 +395,7 @@ def is_home_file(place: str) -> bool:
     path = Path(place)
     return (
         path.suffix in HOME_SUFFIXES
+        # Scenes of ReplicaCAD are JSON files, too.
         and not place.endswith(SCENE_SUFFIX)
         and path.is_file()
     )

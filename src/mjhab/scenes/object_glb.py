@@ -65,6 +65,7 @@ def object_from_glb(
     check_name("name of the object", name)
     check_range(f"mass of {name}", mass, MIN_MASS_KG, MAX_MASS_KG, "kg")
     check_range(f"scale of {name}", scale, 1e-6, 1e6, "1")
+    # Scaled at once, so that all limits are in metres.
     parts = [_upright(part, scale) for part in read_glb(path)]
     pieces = [part for part in parts if part.mesh.startswith(COLLISION_PREFIX)]
     seen = [part for part in parts if not part.mesh.startswith(COLLISION_PREFIX)]
@@ -74,6 +75,7 @@ def object_from_glb(
             path, f"{len(hulls)} collision pieces; an object has at most {MAX_PIECES}."
         )
     points = np.concatenate([hull.vertices for hull in hulls]).astype(float)
+    # Rounded, so that the last bits of hulls do not change the type and all that is cached for it.
     center = ((points.min(axis=0) + points.max(axis=0)) / 2).round(6)
     half = (np.ptp(points, axis=0) / 2).round(6)
     check_extent(
@@ -105,6 +107,7 @@ def _upright(part: Primitive, scale: float) -> Primitive:
 
 def _hull(path: Path, part: Primitive) -> Mesh:
     try:
+        # Only vertices of faces: files keep stray ones, which would enlarge the hull.
         return hull_mesh(np.unique(part.vertices[np.unique(part.faces)].round(7), axis=0))
     except (QhullError, ValueError) as error:
         raise fault(

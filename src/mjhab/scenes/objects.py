@@ -85,6 +85,7 @@ def register_object(model: ObjectModel) -> ObjectModel:
             f"object {kind.name!r}",
             "has no collision geom: nothing could hold or touch it.",
         )
+    # Checked here, where the user is, and not when a pack is opened.
     if kind.name in builtin_objects():
         raise fault(
             f"object {kind.name!r}",
@@ -109,6 +110,7 @@ def with_registered_objects(pack: Pack) -> Pack:
     """
     if not len(OBJECTS):
         return pack
+    # By identity, since comparing packs would compare all their meshes.
     version, extended = _extended.get(id(pack), (-1, pack))
     if version == OBJECTS.version:
         return extended
@@ -126,6 +128,7 @@ def with_registered_objects(pack: Pack) -> Pack:
         meshes.update(model.meshes)
     extended = dataclasses.replace(pack, objects=objects, meshes=meshes)
     if id(pack) not in _extended:
+        # An id is used again once its object is gone.
         weakref.finalize(pack, _extended.pop, id(pack), None)
     _extended[id(pack)] = (OBJECTS.version, extended)
     return extended

@@ -123,6 +123,7 @@ def check_pack(pack: Pack, source: Path | str) -> Pack:
     """
     with about(source):
         check_name("name of the pack", pack.name)
+        # Once per mesh: hundreds of geoms name the same ones.
         extents = {name: _mesh_extent(name, mesh) for name, mesh in pack.meshes.items()}
         passed: set[int] = set()
         _check_each("props", pack.props.values(), extents, passed)
@@ -185,6 +186,7 @@ def check_range(where: str, value: Any, low: float, high: float, unit: str) -> N
         ValueError: says where, which number, and the range.
     """
     for number in np.ravel(np.asarray(value, np.float64)).tolist():
+        # Negated, so that NaN is refused.
         if not low <= number <= high:
             expected = f"in the range {low:g} to {high:g} [{unit}]"
             raise wrong_value(where, number, expected)
@@ -192,6 +194,7 @@ def check_range(where: str, value: Any, low: float, high: float, unit: str) -> N
 
 def _check_unit(where: str, value: tuple[float, ...]) -> None:
     length = math.hypot(*value)
+    # The same: the length of NaN is NaN.
     if not abs(length - 1.0) <= UNIT_TOLERANCE:
         raise wrong_value(where, list(value), f"of length 1, not {length:g}")
 
@@ -211,6 +214,7 @@ def _check_size(where: str, geom: Geom, extent: float) -> None:
         return
     used = NUMBERS_OF_SIZE[geom.shape]
     check_range(where, geom.size[:used], *_SIZE)
+    # Unused entries are 0, but reach MuJoCo all the same.
     check_range(where, geom.size[used:], 0.0, MAX_SIZE_M, "m")
 
 

@@ -47,6 +47,7 @@ def save_pack(pack: Pack, folder: Path) -> None:
         "roles": dataclasses.asdict(present_roles(pack, pack.roles)),
         "stage": pack.stage,
     }
+    # Before anything is deleted: a pack that cannot be written leaves the one before as it was.
     text = json.dumps(body)
     # That of a pack before would not fit the new meshes.
     (folder / _JSON).unlink(missing_ok=True)
@@ -64,6 +65,7 @@ def load_pack(folder: Path) -> Pack:
         UsageError: a file is missing, broken or of another format, or has invalid names or numbers (`check_pack`); the
             message names the file and the field.
     """
+    # Both at once, because the usual mistake is the folder of another data set.
     for needed in (_JSON, _MESHES):
         if not (folder / needed).is_file():
             raise fault(
@@ -103,6 +105,7 @@ def load_pack(folder: Path) -> Pack:
             read_record(Roles, body.get("roles", {}), "roles"),
             read_record(str, body.get("stage", ""), "stage"),
         )
+    # A missing field of the document; those of records are reported by `read_record`.
     except KeyError as error:
         raise fault(path, f"field {error} is missing.") from error
     except ValueError as error:

@@ -53,6 +53,7 @@ class PackRequest:
             value = fitting(name, hint, getattr(self, name), "assets")
             object.__setattr__(self, name, value)
         names = [name for text in self.articulate for name in text.split(",") if name]
+        # Sorted and without repeats: the same furniture is the same request.
         object.__setattr__(self, "articulate", tuple(sorted(set(names))))
         check_between("door_walls", self.door_walls, 0, MOST_DOOR_WALLS, where="assets")
         kinds = (OWN_STAGE, STAND_IN, NO_STAGE)
@@ -237,7 +238,9 @@ def _source(place: str) -> PackSource | None:
         UsageError: no file can have this name.
     """
     with about("assets"):
+        # Refuses places that no file system takes, such as one with a null character.
         beside(Path(), place)
+    # Names come before paths: a folder called "builtin" must not hide the pack.
     return _named_source(place) or next(
         (s for s in PACK_SOURCES.values() if s.finds is not None and s.finds(place)), None
     )
@@ -245,6 +248,7 @@ def _source(place: str) -> PackSource | None:
 
 def _named_source(name: str) -> PackSource | None:
     """The source without ``finds`` of that name, or None."""
+    # Without an error: a place may still be a path.
     if name not in PACK_SOURCES:
         return None
     source = PACK_SOURCES[name]

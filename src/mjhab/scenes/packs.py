@@ -51,6 +51,7 @@ def open_pack(assets: Assets = "builtin") -> Pack:
     source = source_of(request)
     if source is not None:
         return _completed(_opened(source, request), request)
+    # No source found a pack there: the reader of folders says what is missing.
     if Path(request.place).is_dir():
         return _completed(load_pack(Path(request.place)), request)
     raise _nothing_there(request.place)
@@ -68,6 +69,7 @@ def stage_of(assets: Assets) -> dict[str, str]:
 def _completed(pack: Pack, request: PackRequest) -> Pack:
     """Return a checked pack with what a request or a plugin adds to every pack."""
     checked = _checked(pack, request)
+    # Objects last: they are added to the same pack again when more are registered.
     return with_registered_objects(with_door_walls(checked, request.door_walls))
 
 
@@ -80,6 +82,7 @@ def _checked(pack: Pack, request: PackRequest) -> Pack:
     if not pack.homes:
         raise fault(f"asset pack {request}", "has no homes.")
     names = [home.name for home in pack.homes]
+    # Homes are found by name: of two the second could never be opened.
     for name, count in Counter(names).items():
         if count > 1:
             raise fault(
@@ -102,6 +105,7 @@ def _opened(source: PackSource, request: PackRequest) -> Pack:
         pack = source.open(request)
     except MjhabError as error:
         raise fault(what, str(error)) from error
+    # A plugin may raise anything.
     except Exception as error:
         raise fault(what, f"its open raised {raised_text(error)}.") from error
     if not isinstance(pack, Pack):

@@ -34,6 +34,7 @@ _MAX_NAMED_HOMES = 5
 
 def roles_of(pack: Pack, home: Home) -> Roles:
     """Return the roles of a home: its own if it has any, else those of its pack."""
+    # Roles of a home may be empty, which is not the same as none.
     return home.roles if home.roles is not None else pack.roles
 
 
@@ -51,6 +52,7 @@ def plays(
     """
     listed = roles.places.get(role, ())
     whole = (f"{template}/{receptacle}", f"{template}/*")
+    # A template alone stands for its first receptacle.
     return any(name in listed for name in whole) or (first and template in listed)
 
 
@@ -96,6 +98,7 @@ def require_roles(
                 lacking.setdefault(role, []).append(home.name)
     if not lacking:
         return
+    # One role is enough for a message; the next run tells of the next one.
     role, names = next(iter(lacking.items()))
     shown = ", ".join(repr(name) for name in names[:_MAX_NAMED_HOMES])
     more = (
@@ -156,6 +159,7 @@ def check_roles(pack: Pack) -> None:
             (role, place) for role, listed in roles.places.items() for place in listed
         }
         named |= {(f"what closes {place}", place) for place in roles.closed_by}
+        # Sorted, so that the message is the same in every run.
         for role, place in sorted(named):
             if place not in places:
                 raise ValueError(

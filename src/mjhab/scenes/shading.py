@@ -55,6 +55,7 @@ def shading_of(shader: str, options: Mapping[str, Any]) -> Shading | None:
     """
     if shader not in SHADERS:
         raise unknown_name("shader", shader, SHADERS)
+    # Options that would do nothing are refused, as somebody expects something of them.
     if shader == RASTER:
         if options:
             raise UsageError(

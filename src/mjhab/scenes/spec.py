@@ -212,6 +212,7 @@ class Placement:
     @property
     def rotation(self) -> Quat:
         """Quaternion wxyz of the rotation from the frame of the template to the world."""
+        # Upright pieces have a heading alone, so that equal placements are equal numbers.
         return self.quat or (math.cos(self.yaw / 2), 0.0, 0.0, math.sin(self.yaw / 2))
 
 

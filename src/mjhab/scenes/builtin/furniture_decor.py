@@ -90,6 +90,7 @@ def _plant(name: str, leaves: str, radius: float, height: float, pot: str) -> Pr
     tall = leaves == "plant_tall"
     top = 1.35 if tall else 0.75
     geoms = [
+        # Collision shapes are plain: leaves would make hundreds of contacts, and a base must not drive through a stem.
         rod((0.0, 0.0, height / 2), (radius, height), pot, visual=False),
         rod(
             (0.0, 0.0, (height + top) / 2),
@@ -129,6 +130,7 @@ def _lamp() -> Prop:
 def _rug(name: str, depth: float, width: float, material: str) -> Prop:
     """A rug 8 mm thick, without collision geoms; robots drive over it."""
     geoms = [box((0.0, 0.0, 0.004), (depth, width, 0.008), material, collide=False)]
+    # A doormat has no border.
     if depth > 1.0:
         rim = 0.07
         for sx in (-1.0, 1.0):
@@ -148,6 +150,7 @@ def _rug(name: str, depth: float, width: float, material: str) -> Prop:
                     collide=False,
                 )
             )
+    # A rug lies under the base wherever the robot stands on it.
     return Prop(name, tuple(geoms), blocks_base=False)
 
 

@@ -77,6 +77,7 @@ def _counter_body() -> list[Geom]:
     back = (-0.325, -0.305)
     x = (-0.325, 0.335)
     geoms = [
+        # Four pieces around the hole of the sink, as a box cannot have one.
         span(x, (-1.42, -0.55), top, "worktop"),
         span(x, (-0.10, 1.42), top, "worktop"),
         span((0.20, 0.335), (-0.55, -0.10), top, "worktop"),

@@ -105,6 +105,7 @@ def _table_03() -> Prop:
 def _chair_01() -> Prop:
     """A chair: seat at 0.46 m, back at the rear (-x)."""
     geoms = [
+        # Boxes collide, rounded meshes are seen: a mesh of rounded edges would cost far more contacts.
         box((0.0, 0.0, 0.4375), (0.44, 0.46, 0.045), "birch", visual=False),
         box((-0.205, 0.0, 0.78), (0.03, 0.44, 0.20), "birch", visual=False),
         look("chair_seat", "birch", (0.0, 0.0, 0.4375)),
@@ -229,6 +230,7 @@ def _fronts(
                     collide=False,
                 )
             )
+            # Knobs of neighbours face each other, as on a cupboard with two doors.
             toward = 0.5 if columns == 1 else (0.88 if c < columns / 2 else 0.12)
             height = 0.5 if rows > 1 else 0.55
             geoms.append(
@@ -301,6 +303,7 @@ def _books(level: int, z: float, colors: tuple[str, ...]) -> list[Geom]:
     y = -0.40 + 0.09 * (level % 3)
     k = level * 5
     while y < 0.36 - 0.14 * (level % 2):
+        # Sums instead of random numbers, so that the pack is the same on every machine without a seed.
         thick = 0.028 + 0.011 * ((k * 7) % 4)
         height = 0.20 + 0.018 * ((k * 5) % 5)
         geoms.append(

@@ -39,6 +39,7 @@ def cached_homes(
         bare: makes a home without props, given macro and micro.
         furnish: makes a home with props, given macro and micro.
     """
+    # The arithmetic is part of it, since an arrangement is accepted or not by the last bits of distances.
     digest = hashlib.sha256(_code_digest() + repr(tuple(keys)).encode()).hexdigest()[:24]
     path = cache_dir() / "homes" / f"{pack}-{digest}.json"
     props = read_cached(path, lambda file: _read(file, len(keys)))
@@ -47,6 +48,7 @@ def cached_homes(
             replace(bare(*key), props=row) for key, row in zip(keys, props, strict=True)
         )
     homes = tuple(furnish(*key) for key in keys)
+    # Furnished pieces are upright, so that a heading says all of their rotation.
     rows = [[(p.template, p.pos, p.yaw) for p in home.props] for home in homes]
     write_cached(path, lambda temporary: temporary.write_text(json.dumps(rows)))
     return homes

@@ -72,6 +72,7 @@ SMALL = ("indoor_plant_01", "indoor_plant_02", "beanbag", "lamp_01", "bin_01")
 """Small pieces that micro layouts assign randomly to a plan's spots; in order in micro layout 0."""
 
 PLANS: tuple[Plan, ...] = (
+    # The order of the plans is part of the names of homes, and decides their splits.
     Plan(  # kitchen and fridge on the west wall, living room north east, bedroom south east
         (9.4, 7.0),
         "wall_white",

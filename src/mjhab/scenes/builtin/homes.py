@@ -89,6 +89,7 @@ def make_home(macro: int, micro: int) -> Home:
     Raises:
         UsageError: an argument is out of range.
     """
+    # Seed 0 for all: the homes of the pack are fixed, whatever the seed of a run.
     rng = stream(0, "home", macro, micro)
     plan = plan_of(macro, micro)
     return furnish(bare_home(macro, micro), plan, rng, keep_clear(macro, micro))
@@ -121,6 +122,7 @@ def bare_floor(floor: Floor) -> Home:
     width, depth = plan.size
     kitchen = tuple(_place(p) for p in plan.kitchen)
     rooms = tuple(
+        # A millimetre above the floor, else the two surfaces would flicker in images.
         span(_x(r.extent), _y(r.extent), (-0.02, 0.001), r.floor, collide=False)
         for r in plan.rooms
     )
@@ -215,11 +217,14 @@ def furnish(
     Raises:
         RuntimeError: no arrangement was found (an error in the plan; tests build every home).
     """
+    # What is fixed is the same in all tries.
     taken = _blocked(plan, clear)
     for _ in range(_MAX_TRIES):
+        # A copy of the list, as each try adds its pieces.
         placed = _try_furnish(plan, home.micro, rng, list(taken))
         if placed is not None:
             furnished = replace(home, props=placed)
+            # The costly check comes last: it makes a map of the free floor.
             if usable(furnished, _templates_pack()):
                 return furnished
     raise RuntimeError(
@@ -233,6 +238,7 @@ def usable(home: Home, pack: Pack) -> bool:
     share = free.navigable().sum() / max(
         (free.clearance >= NAVMESH_BASE_RADIUS_M).sum(), 1
     )
+    # A piece before a doorway would cut a room off without overlapping anything.
     return bool(share >= MIN_CONNECTED_SHARE) and all(
         r.center <= MAX_REACH_TO_CENTER_M and r.farthest <= MAX_REACH_TO_ANY_POINT_M
         for r in reach(home, pack, free)
@@ -242,12 +248,14 @@ def usable(home: Home, pack: Pack) -> bool:
 def _try_furnish(
     plan: Plan, micro: int, rng: np.random.Generator, taken: list[FloorPolygon]
 ) -> tuple[Placement, ...] | None:
+    # Micro layout 0 is the plan as it was drawn.
     order = np.arange(len(plan.spots)) if micro == 0 else rng.permutation(len(plan.spots))
     small = [
         _place((name, *plan.spots[k])) for name, k in zip(SMALL, order, strict=False)
     ]
     result: list[Placement] = []
     for group, tries in (
+        # Largest and fixed pieces first: small ones find a place beside them, but not the other way round.
         ([_place(p) for p in plan.fixed], 1),
         ([_place(p) for p in plan.loose], 12),
         (small, 12),
@@ -268,6 +276,7 @@ def keep_clear(macro: int, micro: int) -> dict[str, Zone]:
     x, (low, high) = KEEP_CLEAR_M["fridge"]
     return {
         **KEEP_CLEAR_M,
+        # Beyond the wall there is nothing to keep clear.
         "fridge": (x, (low, min(high, FRIDGE_HALF_WIDTH_M + hard.side))),
     }
 
@@ -309,6 +318,7 @@ def _settle(
     for _ in range(tries):
         pose = _shift(placement, rng) if movable else placement
         area = footprint(pose, _template(pose.template))
+        # Pictures and rugs take no room.
         if area is None:
             return pose
         if not any(area.meets(other) for other in taken):
@@ -322,6 +332,7 @@ def _shift(placement: Placement, rng: np.random.Generator) -> Placement:
     across, along, turn = (
         _SMALL_SHIFT if small else _SHIFTS.get(placement.template, _ALONG_WALL)
     )
+    # Always three numbers, so that pieces that do not turn leave the stream where others would.
     a, b, yaw = (rng.uniform(-1.0, 1.0, 3) * (across, along, turn)).tolist()
     c = math.cos(placement.yaw)
     s = math.sin(placement.yaw)

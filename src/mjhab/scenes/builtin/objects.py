@@ -144,6 +144,7 @@ def object_meshes() -> dict[str, Mesh]:
 def _carton(half: Vec3, main: str, band: str, mark: str) -> tuple[list[Geom], list[Geom]]:
     """Collision and visual geoms of a standing box, with labels on the two wide faces and a band at the lower part."""
     hx, hy, hz = half
+    # Labels stand out by half a millimetre: in one plane with the box they would flicker.
     skin = 0.0005
     visuals = [
         box(
@@ -322,6 +323,7 @@ def _wall_piece(r0: float, z0: float, r1: float, z1: float, count: int) -> Mesh:
     inward = BOWL_WALL_M / math.cos(slope)
     points = []
     for r, z in ((r0, z0), (r1, z1)):
+        # The base pieces end at the axis, where the radius cannot shrink further.
         for rr in (r, max(r - inward, 0.0)):
             points += [(rr * math.cos(t), rr * math.sin(t), z) for t in (-a, a)]
     return hull_mesh(np.array(points))
@@ -339,6 +341,7 @@ def _icosphere() -> np.ndarray:
         if abs(np.linalg.norm(corners[i] - corners[j]) - 2.0) < 1e-6
     ]
     points = np.concatenate([corners, np.array(edges)])
+    # Midpoints of edges lie inside of the sphere.
     return points / np.linalg.norm(points, axis=1, keepdims=True)
 
 

@@ -45,6 +45,7 @@ ROLES = Roles(
 """Roles of the built-in furniture, those of the corresponding ReplicaCAD furniture in the Home Assistant Benchmark."""
 
 
+# One object: maps and compiled models are cached by the identity of a pack.
 @cache
 def builtin_pack() -> Pack:
     """Return the built-in pack; always the same object."""

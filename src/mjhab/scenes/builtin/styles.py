@@ -162,6 +162,7 @@ def mirrored(plan: Plan) -> Plan:
     def wall(each: Wall) -> Wall:
         if each.axis == "y":
             return replace(each, at=width - each.at)
+        # Mirroring turns the order round, and gaps are in ascending order.
         gaps = tuple((width - end, width - start) for start, end in reversed(each.gaps))
         return replace(each, start=width - each.end, end=width - each.start, gaps=gaps)
 
@@ -190,6 +191,7 @@ def drawn_out(plan: Plan, axis: int, by: float) -> Plan:
         return plan
 
     def moved(value: float) -> float:
+        # Nothing lies at the cut itself: it goes through free floor.
         return value + by if value > cut else value
 
     def spot(at: Spot) -> Spot:
@@ -239,9 +241,11 @@ def _cut(plan: Plan, axis: int) -> float | None:
         if (wall.axis == "y") == (axis == 0):
             taken.append((wall.at - edge, wall.at + edge))
         else:
+            # A doorway must keep its width.
             taken += wall.gaps
     end = 0.0
     best = (0.0, 0.0)
+    # In order of their beginning: the free intervals are between the ends seen so far and the next beginning.
     for low, high in sorted(taken):
         best = max(best, (low - end, (low + end) / 2))
         end = max(end, high)
@@ -295,6 +299,7 @@ def make_home(macro: int, micro: int) -> Home:
     """Make a furnished home, which is the same for the same (macro, micro) on every machine."""
     floor = _floor(macro, micro)
     rng: np.random.Generator = stream(0, "home", NAME, macro, micro)
+    # With the built-in templates, whose sizes the styles share; the style comes afterwards.
     home = furnish(bare_floor(floor), floor.plan, rng, KEEP_CLEAR_M)
     style = STYLES[micro // 10]
     props = tuple(replace(at, template=restyled(at.template, style)) for at in home.props)

@@ -104,6 +104,7 @@ class Fields:
 
 
 def _whole(value: Any, where: str) -> int:
+    # In Python True is an int, but no number in JSON.
     if isinstance(value, bool) or not isinstance(value, int) or value < 0:
         raise _unfit(where, "a whole number from 0", value)
     return value

@@ -125,6 +125,7 @@ def read_hulls(path: Path) -> list[np.ndarray]:
         used = part.vertices[np.unique(part.faces)]
         # Points are stored once per face corner, and differ by rounding errors.
         keys = np.unique(np.round(used, 6), axis=0, return_index=True)[1]
+        # In the order of the file, which does not change with rounding.
         points = used[np.sort(keys)]
         if len(points) < 4:
             raise fault(
@@ -137,6 +138,7 @@ def read_hulls(path: Path) -> list[np.ndarray]:
 
 def _chunks(path: Path) -> tuple[dict[str, Any], bytes]:
     """The JSON and the binary chunk of a file."""
+    # A limit, since a file from elsewhere must not exhaust memory.
     raw = read_bytes(path, MAX_FILE_MB)
     if len(raw) < 20 or raw[:4] != b"glTF":
         raise fault(
@@ -154,6 +156,7 @@ def _chunks(path: Path) -> tuple[dict[str, Any], bytes]:
         size, kind = struct.unpack_from("<I4s", raw, offset)
         if offset + 8 + size > length:
             raise fault(path, f"chunk {kind!r} is cut off; download the file again.")
+        # The first chunk of a kind counts, as the format has it; unknown kinds are ignored.
         found.setdefault(kind, raw[offset + 8 : offset + 8 + size])
         offset += 8 + size
     if b"JSON" not in found:
@@ -192,6 +195,7 @@ class _Reader:
                 "nodes"
             )
         out: list[Primitive] = []
+        # Files may lack a scene: then every node that is no child is a root.
         for root in roots or [i for i in range(len(nodes)) if i not in children]:
             self._walk(root, np.eye(4), textures, out, 0)
         if not out:
@@ -207,6 +211,7 @@ class _Reader:
         depth: int,
     ) -> None:
         self._visits += 1
+        # Nodes may name each other in a circle.
         if depth > MAX_NODE_DEPTH or self._visits > MAX_NODES:
             raise ValueError("nodes that contain each other, or far too many of them")
         node = self.document.pick("nodes", index)
@@ -218,6 +223,7 @@ class _Reader:
             for part in mesh.parts("primitives"):
                 if part.whole("mode", _TRIANGLES) == _TRIANGLES:
                     made = self._primitive(name, part, pose, textures)
+                    # Empty meshes occur, and nothing could be drawn of them.
                     if len(made.faces):
                         out.append(made)
         for child in node.wholes("children"):
@@ -229,6 +235,7 @@ class _Reader:
         attributes = part.part("attributes")
         points = self._array(attributes.whole("POSITION"), "VEC3", _ANY)
         vertices = points.astype(np.float64) @ pose[:3, :3].T + pose[:3, 3]
+        # Without indices the vertices are corners in order.
         corners = np.arange(len(vertices))
         if "indices" in part:
             corners = self._array(part.whole("indices"), "SCALAR", _INDICES).ravel()
@@ -239,6 +246,7 @@ class _Reader:
         if len(corners) and int(corners.max()) >= len(vertices):
             raise ValueError(f"mesh {name!r} names a vertex that does not exist")
         faces = corners.reshape(-1, 3).astype(np.int32)
+        # A mirroring transform turns faces inside out.
         if np.linalg.det(pose[:3, :3]) < 0:
             faces = faces[:, ::-1].copy()
         if not textures:
@@ -281,6 +289,7 @@ class _Reader:
             raise ValueError(
                 f"{view.place('byteStride')}: {stride} bytes are less than an element"
             )
+        # numpy would read beyond the buffer without a complaint.
         if count and start + stride * (count - 1) + size * width > len(self.blob):
             raise ValueError(f"{accessor.where} reaches past the end of the binary chunk")
         if not count:
@@ -291,6 +300,7 @@ class _Reader:
             and accessor.value("normalized")
             and component in _WHOLE
         ):
+            # The format stores fractions as integers up to the largest one.
             data = data / np.iinfo(kind).max
         return data
 
@@ -327,6 +337,7 @@ class _Reader:
         return self._images[index]
 
     def _decoded(self, index: int) -> np.ndarray:
+        # On use: packs without textures are opened without Pillow.
         from PIL import Image
 
         image = self.document.pick("images", index)
@@ -334,6 +345,7 @@ class _Reader:
         start = view.whole("byteOffset", 0)
         data = io.BytesIO(self.blob[start : start + view.whole("byteLength")])
         try:
+            # Only the formats of glTF: Pillow's other decoders are a needless risk with files from elsewhere.
             with Image.open(data, formats=_IMAGE_FORMATS) as picture:
                 # The size is known before decoding; a small file may decompress to very many pixels.
                 width, height = picture.size
@@ -355,6 +367,7 @@ class _Reader:
 def _local(node: Fields) -> np.ndarray:
     """Transform (4, 4) from a node to its parent."""
     if "matrix" in node:
+        # glTF stores matrices column by column.
         return node.numbers("matrix", tuple(np.eye(4).ravel())).reshape(4, 4).T
     pose = np.eye(4)
     x, y, z, w = node.numbers("rotation", (0.0, 0.0, 0.0, 1.0))

@@ -105,6 +105,7 @@ def read_urdf(path: Path) -> Urdf:
         UsageError: it is missing, invalid, or has unsupported shapes or joints; the message names file and element.
     """
     raw = read_bytes(path, MAX_URDF_MB)
+    # Entities may expand to gigabytes.
     if b"<!DOCTYPE" in raw or b"<!ENTITY" in raw:
         raise fault(path, "declares entities, which no furniture needs.")
     try:
@@ -138,6 +139,7 @@ def _check_reaches_root(
 ) -> None:
     """Raise a UsageError if the joints above a link form a loop instead of leading to the root."""
     above = link
+    # More steps than joints mean that a joint was passed twice.
     for _ in range(len(joints) + 1):
         if above == root:
             return
@@ -196,6 +198,7 @@ def _inertial(
     )
     inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
     moments = np.linalg.eigvalsh(inertia)
+    # The tolerance is for thin plates, whose largest moment equals the sum of the others.
     if moments[0] <= 0.0 or moments[2] > moments[:2].sum() * (1 + 1e-9):
         raise fault(
             path,
@@ -203,6 +206,7 @@ def _inertial(
             "none larger than the sum of the others.",
         )
     turn = pose[:3, :3]
+    # URDF gives inertia along the axes of <inertial>, which may be turned.
     return pose[:3, 3], turn @ inertia @ turn.T
 
 
@@ -276,6 +280,7 @@ def _origin(path: Path, element: ElementTree.Element, where: str) -> np.ndarray:
         roll, pitch, yaw = _numbers(
             path, f"{where}: origin rpy", origin.get("rpy", "0 0 0"), 3
         )
+        # URDF's order: about the fixed axes x, y, z.
         pose[:3, :3] = _about(2, yaw) @ _about(1, pitch) @ _about(0, roll)
         pose[:3, 3] = _numbers(
             path, f"{where}: origin xyz", origin.get("xyz", "0 0 0"), 3
@@ -316,6 +321,7 @@ def _numbers(path: Path, where: str, text: str | None, count: int) -> np.ndarray
         numbers = np.array([float(word) for word in words])
     except ValueError:
         numbers = np.zeros(0)
+    # Negated, so that NaN is refused, too.
     if len(numbers) != count or not (np.abs(numbers) <= MAX_FILE_NUMBER).all():
         raise fault(
             path,

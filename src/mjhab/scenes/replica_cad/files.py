@@ -34,6 +34,7 @@ _MAX_LEVEL_TILT_RAD = 1e-4
 
 def is_replica_cad(folder: Path) -> bool:
     """Whether a folder looks like the data set, complete or not."""
+    # An incomplete data set must be recognised as well, so that the message says what is missing.
     return any((folder / name).is_dir() for name in FOLDERS[:2]) or (
         (folder / "replicaCAD.scene_dataset_config.json").is_file()
     )
@@ -151,6 +152,7 @@ def rotation(path: Path, record: dict[str, Any], where: str) -> np.ndarray:
     if "rotation" not in record:
         return np.eye(3)
     given = numbers(path, record, "rotation", 4, where)
+    # Files have few digits, so that lengths differ from 1 a little; near 0 there is no direction.
     if np.linalg.norm(given) < _MIN_QUATERNION_LENGTH:
         raise fault(path, f"field {where}.rotation: not a quaternion: {given.tolist()}.")
     return mat_from_quat(given / np.linalg.norm(given))

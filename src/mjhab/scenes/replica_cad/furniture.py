@@ -109,6 +109,7 @@ class Furniture:
             UsageError: it was read before with another scale, or its files are missing or broken.
         """
         name = short_name(template)
+        # A template is compiled once for all homes, in one size.
         if self._scale.setdefault(name, scale) != scale:
             raise fault(
                 self.folder,
@@ -131,6 +132,7 @@ class Furniture:
         path = self.folder / "configs" / "objects" / f"{stem}.object_config.json"
         body = load_json(path)
         look = file_in(path, body, "render_asset")
+        # Some configs name hulls and ask for the bounding box all the same.
         if not body.get("use_bounding_box_for_collision") and "collision_asset" in body:
             geoms = self._hulls(
                 name,
@@ -157,7 +159,9 @@ class Furniture:
         if look.is_file():
             geoms.append(self._look(name, f"{name}/look", [(look, _as_pose(TO_Z_UP))]))
         else:
+            # Collected, for one warning instead of one per piece.
             self.missing.append(look)
+        # Whole words: a "mattress" is no "mat".
         blocks = not any(word in name.split("_") for word in FLAT_WORDS)
         pieces = [outline(g, self.meshes) for g in geoms if g.collide]
         places = [
@@ -198,6 +202,7 @@ class Furniture:
         out = {}
         for link in urdf.links:
             pose = urdf.pose(link)
+            # A uniform scale lengthens distances between frames and leaves their rotations.
             pose[:3, 3] *= scale
             out[link] = _as_pose(self.upright[name]) @ pose
         return out
@@ -230,6 +235,7 @@ class Furniture:
         for joint in urdf.joints.values():
             if joint.kind == "fixed":
                 continue
+            # A `Link` has one joint, to the static body.
             if urdf.moving(joint.parent) != urdf.root:
                 raise fault(
                     path,
@@ -259,12 +265,14 @@ class Furniture:
         shapes, grip = self._grip(name, path, link, scale)
         origin = frame[:3, 3]
         local = frame.copy()
+        # The origin of a link lies on its joint; its axes are those of the template.
         local[:3, 3] = 0.0
         geoms = _boxes(shapes, local, scale)
         geoms.append(
             self._look(name, f"{name}/{link.name}/look", _placed(link, local, scale))
         )
         turn = frame[:3, :3]
+        # Links of other furniture may have the same names.
         published = handles.PUBLISHED.get(link.name) if name in ARTICULATED else None
         handle = Handle(
             point(turn @ grip.pos * scale),
@@ -275,10 +283,12 @@ class Furniture:
             point(turn @ np.array(published)) if published else None,
         )
         slide = joint.kind == "prismatic"
+        # Lengths scale, angles do not.
         low, high = (limit * scale if slide else limit for limit in joint.limits)
         # Some doors of the data set open towards negative positions; ours open towards positive ones.
         mirrored = high <= 0.0
         axis, (low, high) = (
+            # From 0.0, because the negative of 0 would be -0.0, which prints and hashes differently.
             (-joint.axis, (0.0 - high, -low)) if mirrored else (joint.axis, (low, high))
         )
         # Scaling a body by s scales its mass by s^3 (SAPIEN's convention, which ManiSkill uses for this data set).
@@ -328,6 +338,7 @@ class Furniture:
         pieces = [outline(g, self.meshes) for g in geoms if g.collide]
         places = []
         for space in spaces(config, body, frames, scale):
+            # A receptacle on a fixed link does not move.
             link = space.link if space.link in moved else ""
             places.append(fit(space, pieces, link, moved.get(link)))
         return tuple(p for p in places if p)
@@ -353,6 +364,7 @@ def _righted(world: np.ndarray) -> np.ndarray:
     """
     up = world[2]
     axis = np.zeros(3)
+    # The nearest axis: scenes turn furniture upright with rotations of few digits.
     axis[np.abs(up).argmax()] = np.sign(up[np.abs(up).argmax()])
     if axis[2] == 1.0:
         return np.eye(3)
@@ -402,6 +414,7 @@ def _placed(
 def _map(visual: UrdfVisual, frame: np.ndarray, scale: float) -> np.ndarray:
     pose = visual.pose.copy()
     pose[:3, :3] *= visual.scale
+    # The scale of the scene applies after the pose of the visual, whose own scale applies before.
     return frame @ np.diag([scale, scale, scale, 1.0]) @ pose
 
 

@@ -173,8 +173,10 @@ def drawer(name: str, boxes: tuple[UrdfBox, ...]) -> tuple[tuple[UrdfBox, ...], 
     grip = Grip(
         pos, np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0]), (z1 - z0) / 2, y1 - y0
     )
+    # Another version of the file may have a handle of its own: only the known boxes are replaced.
     if len(boxes) != 5:
         return boxes, grip
+    # The boxes have no names; the front is the one farthest out.
     front = max(boxes, key=lambda b: float(b.pose[0, 3]))
     low = front.pose[:3, 3] - front.half
     high = front.pose[:3, 3] + front.half
@@ -210,6 +212,7 @@ def door(name: str, boxes: tuple[UrdfBox, ...]) -> tuple[tuple[UrdfBox, ...], Gr
     grip = Grip(
         pos, np.array([0.0, 0.0, -1.0]), np.array([1.0, 0.0, 0.0]), (z1 - z0) / 2, y1 - y0
     )
+    # As for drawers: only the one plain box that is known gets a handle.
     if len(boxes) != 1:
         return boxes, grip
     more = [_rib(rib, float(boxes[0].pose[0, 3]))]
@@ -271,6 +274,7 @@ def plain(boxes: tuple[UrdfBox, ...], out: np.ndarray, scale: float) -> Grip:
         (r for r, box in zip(reach, boxes, strict=True) if box is not knob),
         default=max(reach),
     )
+    # A bar runs along the front, never out of it.
     half = np.where(np.abs(out) > 0.5, 0.0, np.abs(knob.pose[:3, :3]) @ knob.half)
     bar = np.eye(3)[int(half.argmax())]
     across = np.abs(np.cross(bar, out))

@@ -68,8 +68,10 @@ class MeshFiles:
             "scenes.shapes.meshes",
             "scenes.shapes.winding",
         )
+        # The code of the readers, because a change of it would else show only after the cache is cleared.
         digest = hashlib.sha256(readers + arithmetic_digest())
         for file, pose in self.wanted[name]:
+            # Without the folder, so that a data set that was moved keeps its cache.
             state = (name, file.name, file_state(file))
             digest.update(repr(state).encode() + pose.round(9).tobytes())
         return digest.hexdigest()[:24]

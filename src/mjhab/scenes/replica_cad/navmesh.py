@@ -58,8 +58,10 @@ def read_navmesh(path: Path) -> NavMesh:
             record = struct.unpack_from(
                 "<I6H6HH2B", raw, start + 12 * vertex_count + _POLYGON_BYTES * k
             )
+            # A polygon has room for six corners, and says how many it uses.
             corners = vertices[list(record[1 : 1 + record[14]])]
             polygons.append(
+                # From +y up to +z up, see `files`.
                 np.stack([corners[:, 0], -corners[:, 2], corners[:, 1]], axis=1)
             )
     except (struct.error, ValueError, IndexError) as error:

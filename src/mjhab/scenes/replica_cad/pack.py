@@ -27,11 +27,13 @@ def locate(place: str) -> tuple[Path, tuple[str, ...]] | None:
         The folder and the names, () for none; None if the path is none of these.
     """
     path = Path(place)
+    # The file of one scene: its data set is the folder two levels above "configs/scenes".
     if place.endswith(SCENE_SUFFIX) and path.is_file():
         return path.resolve().parents[2], (path.name.removesuffix(SCENE_SUFFIX),)
     folder = _data_set(path)
     if folder is not None:
         return folder, ()
+    # A name that does not exist in a data set is one of its scenes, or several with commas.
     folder = None if path.exists() else _data_set(path.parent)
     return (folder, tuple(path.name.split(","))) if folder is not None else None
 
@@ -58,6 +60,7 @@ def _complete(request: PackRequest, recorded: bool) -> PackRequest:
     if request.stage or found is None:
         return request
     folder, scenes = found
+    # What was recorded without a stage had the walls of its own, and must replay with them.
     fits = not (recorded or request.stage_mesh)
     fits = fits and can_stand_in(folder, (*scenes, *request.scenes))
     return replace(request, stage=STAND_IN if fits else OWN_STAGE)
@@ -70,6 +73,7 @@ def _read(
     stage: StageRequest,
     articulate: tuple[str, ...],
 ) -> Pack:
+    # On use: the reader takes long to import, and most runs have built-in homes.
     from mjhab.scenes.replica_cad.reader import open_replica_cad
 
     return open_replica_cad(folder, scenes, stage, articulate)

@@ -100,9 +100,11 @@ def open_replica_cad(
             folder / "configs" / "scenes",
             f"has no staged scene (v3_sc*_staging_*); {HOW_TO_GET}.",
         )
+    # All of them, even if few are asked for: a stand-in must not depend on which homes are opened.
     staged = tuple(name for name in names if STAGED.fullmatch(name))
     stages = Stages(folder, stage or StageRequest())
     reader = _Scenes(folder, Furniture(folder, articulate), stages, staged)
+    # Before the furniture is looked at, which is read as homes name it.
     homes = tuple(reader.home(name) for name in chosen)
     furniture = reader.furniture
     if reader.loose:
@@ -167,6 +169,7 @@ def _named(wanted: tuple[str, ...], names: list[str]) -> list[str]:
 
 
 def _objects(folder: Path) -> tuple[dict[str, ObjectType], dict[str, Any]]:
+    # `mjhab assets fetch` puts data sets side by side.
     for place in (folder / "ycb", folder.parent / "ycb"):
         if place.is_dir():
             files = sorted(place.glob("*/*.glb"))
@@ -208,6 +211,7 @@ class _Scenes:
         body = load_json(path)
         props = []
         jointed = []
+        # Counted before anything is read: a file from elsewhere may be of any length.
         for kind in ("object_instances", "articulated_object_instances"):
             count = len(_list(path, body, kind))
             if count > MAX_INSTANCES:
@@ -246,6 +250,7 @@ class _Scenes:
         split: Literal["train", "val", "test"] = (
             "train" if macro < 3 else "val" if macro == 3 else "test"
         )
+        # Without a stage nothing in a scene says how large the floor is.
         extent = extent or self._extent(name, [*props, *jointed])
         return Home(
             name,

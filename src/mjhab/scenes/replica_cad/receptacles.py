@@ -66,6 +66,7 @@ def spaces(
             continue
         where = f"user_defined.{key}"
         link = record.get("parent_link", "") if isinstance(record, dict) else ""
+        # Boxes of links that a version of the URDF lacks are of no use.
         if not isinstance(link, str) or link not in frames:
             continue
         pose = frames[link]
@@ -75,6 +76,7 @@ def spaces(
         )
         # A few half-extents of the data set are negative.
         half = np.abs(numbers(path, record, "scale", 3, where))
+        # Rounded, because boxes along axes stay boxes only under quarter turns.
         half = scale * np.abs(np.round(pose[:3, :3])) @ half
         found.append(ConfigBox(_name(key, record), center, half, link))
     return found
@@ -108,12 +110,15 @@ def fit(
         + space.half[k] * (2 * (np.arange(_CELLS_PER_SIDE) + 0.5) / _CELLS_PER_SIDE - 1)
         for k in (0, 1)
     ]
+    # Centres of cells: points on the edge of a box may miss a surface that ends there.
     xy = np.stack(np.meshgrid(*cells, indexing="ij"), axis=-1).reshape(-1, 2)
     surface, ceiling = _levels(space, pieces, xy)
     known = np.isfinite(surface)
+    # Less is no surface, but the edge of a board beside the box.
     if known.mean() < 0.1:
         return None
     level = _usual(surface[known])
+    # Without a ceiling the height would be infinite.
     headroom = np.minimum(ceiling - level, MAX_FREE_HEIGHT_M)
     good = known & (np.abs(surface - level) < _MAX_UNEVENNESS_M)
     if not good.any():
@@ -151,9 +156,11 @@ def _levels(
     first = xy.min(0)
     last = xy.max(0)
     for piece in pieces:
+        # Most pieces of furniture are elsewhere, and an intersection costs a hull each.
         if np.any(piece[:, :2].max(0) < first) or np.any(piece[:, :2].min(0) > last):
             continue
         low, high = vertical_extent(piece, xy)
+        # The middle of the box is in free space, even where its ends are not.
         below = high <= middle
         surface = np.where(below, np.maximum(surface, high), surface)
         ceiling = np.where(~below, np.minimum(ceiling, low), ceiling)
@@ -187,6 +194,7 @@ def largest_rectangle(mask: np.ndarray) -> tuple[int, int, int, int]:
             column = column & mask[i1]
             if not column.any():
                 break
+            # Cannot become the largest: the runs of the row are not looked at.
             if int(column.sum()) * (i1 - i0 + 1) <= best:
                 continue
             edges = np.flatnonzero(np.diff(np.concatenate([[0], column, [0]])))

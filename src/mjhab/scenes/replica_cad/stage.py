@@ -87,6 +87,7 @@ def wall_faces(triangles: np.ndarray) -> list[Face]:
         triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]
     )
     size = np.linalg.norm(normal, axis=1)
+    # Degenerate triangles have no normal.
     keep = (size > 1e-7) & (np.abs(normal[:, 2]) < MAX_NORMAL_RISE * size)
     triangles = triangles[keep]
     size = size[keep]
@@ -94,12 +95,14 @@ def wall_faces(triangles: np.ndarray) -> list[Face]:
     offset = np.einsum("tk,tck->tc", flat, triangles[:, :, :2])
     left = np.ones(len(triangles), bool)
     faces: list[Face] = []
+    # Large triangles first: their planes are the most exact, and small ones join them.
     for first in np.argsort(-size, kind="stable"):
         if not left[first]:
             continue
         n = flat[first]
         away = np.abs(triangles[:, :, :2] @ n - offset[first].mean()).max(axis=1)
         same = left & (flat @ n > _MIN_PARALLEL_COSINE) & (away < _MAX_PLANE_OFFSET_M)
+        # By rounding a triangle may be off its own plane.
         same[first] = True
         left &= ~same
         faces += _rectangles(triangles[same], n, float(offset[first].mean()))
@@ -112,6 +115,7 @@ def _rectangles(triangles: np.ndarray, normal: np.ndarray, offset: float) -> lis
     flat = np.stack([triangles[:, :, :2] @ along, triangles[:, :, 2]], axis=-1)
     us = _lines(flat[..., 0])
     zs = _lines(flat[..., 1])
+    # Slivers whose corners all count as one.
     if len(us) < 2 or len(zs) < 2:
         return []
     middle = np.stack(
@@ -137,6 +141,7 @@ def _rectangles(triangles: np.ndarray, normal: np.ndarray, offset: float) -> lis
 
 def _lines(values: np.ndarray) -> np.ndarray:
     """Sorted distinct values (n,); of values closer than `_GRID_STEP_M` the smallest is kept."""
+    # Rounded, so that noise in the file does not make lines of its own.
     ordered = np.unique(values.round(4))
     keep = [float(ordered[0])]
     for value in ordered[1:]:
@@ -152,6 +157,7 @@ def _inside(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
     (dx, dy) = (b - a).T
     off = points[..., None, :] - a
     side = dx * off[..., 1] - dy * off[..., 0]
+    # Either winding: seen along its normal a face may be turned.
     return np.all(side >= -1e-9, axis=-1) | np.all(side <= 1e-9, axis=-1)
 
 
@@ -159,6 +165,7 @@ def merge_cells(filled: np.ndarray) -> list[tuple[int, int, int, int]]:
     """Partition the True cells of a mask (R, C) into rectangles (i0, i1, j0, j1), ends excluded."""
     out: list[tuple[int, int, int, int]] = []
     going: dict[tuple[int, int], int] = {}
+    # One row more than there are: an empty one ends all rectangles.
     for i in range(len(filled) + 1):
         row = filled[i] if i < len(filled) else np.zeros(filled.shape[1], bool)
         edges = np.flatnonzero(np.diff(np.r_[0, row.astype(np.int8), 0]))
@@ -182,6 +189,7 @@ def _depth(face: Face, faces: list[Face]) -> float:
         meets = min(face.u[1], u[1]) > max(face.u[0], u[0]) and min(
             face.z[1], other.z[1]
         ) > max(face.z[0], other.z[0])
+        # Nearer faces are the same wall, modelled twice.
         if meets and 0.004 < behind < depth:
             depth = behind
     return depth

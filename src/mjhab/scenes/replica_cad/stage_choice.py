@@ -38,6 +38,7 @@ def can_stand_in(folder: Path, scenes: Iterable[str] = ()) -> bool:
     """
     if not (folder / STAND_IN_FILE).is_file():
         return False
+    # Staged scenes always, as they tell where the walls of the stand-in are cut.
     patterns = ("v3_sc?_staging_*", *scenes)
     found = (
         f
@@ -85,6 +86,7 @@ class Stages:
     def kind(self) -> str:
         """One of `spec.STAGES`: what the scenes got; that of scenes whose own is missing, if there are any."""
         kinds = (STAND_IN, NO_STAGE, OTHER_STAGE, OWN_STAGE)
+        # The kind that differs most from the published homes names the pack.
         return next(kind for kind in kinds if kind in self.used)
 
     def shape(
@@ -103,6 +105,7 @@ class Stages:
         kind, file = self._choose(path, record)
         self.used.add(kind)
         if kind == STAND_IN:
+            # One stand-in for the whole group: all staged scenes have the same stage.
             return self._once((STAND_IN, *group), lambda: self._stand_in(group))
         if file is None:
             return None
@@ -145,6 +148,7 @@ class Stages:
         return file_in(config, load_json(config), "render_asset")
 
     def _stand_in(self, group: tuple[str, ...]) -> Shape:
+        # On use: most data sets have their stages.
         from mjhab.scenes.replica_cad.stand_in import stand_in
 
         if not self._mesh.is_file():

@@ -84,10 +84,12 @@ def stand_in(
     triangles = stage_triangles(file) @ TO_Z_UP.T
     walls, extent = shape_of(triangles)
     floor = walkable_floor(folder, scenes)
+    # Before any wall is cut: of a mesh in another frame nearly nothing would be left, without an error.
     _check_frame(file, walls, floor)
     top = float(triangles[..., 2].max())
     shell = _shell(triangles, top)
     kept = [piece for wall in walls for piece in _cut(wall, floor)]
+    # Two boxes in one place would flicker in images, and double every contact.
     inside = [wall for wall in kept if not any(_covers(box, wall) for box in shell)]
     return (*shell, *inside, *_block(triangles, extent, floor)), extent
 
@@ -116,6 +118,7 @@ def _check_frame(file: Path, walls: Sequence[Geom], floor: Walkable) -> None:
 
 
 def _is_low(wall: Geom) -> bool:
+    # Only what the agent would meet can contradict a navigation mesh.
     return wall.pos[2] - wall.size[2] < AGENT_HEIGHT_M and wall.pos[2] + wall.size[2] > 0
 
 
@@ -144,6 +147,7 @@ def _cut(wall: Geom, floor: Walkable) -> list[Geom]:
     if not _is_low(wall):
         return [wall]
     stays = np.all(floor.distance(_sections(wall)) >= CLEAR_M, axis=1)
+    # The wall itself, so that most walls stay one box.
     if stays.all():
         return [wall]
     _, along = _axes(wall)
@@ -175,6 +179,7 @@ def _floor_triangles(triangles: np.ndarray) -> np.ndarray:
     size = np.linalg.norm(normal, axis=1)
     level = normal[:, 2] > 0.99 * np.maximum(size, 1e-12)
     low = np.abs(triangles[..., 2]).max(axis=1) < 0.1
+    # Rounded, because edges of neighbours are compared for equality.
     return triangles[level & low][..., :2].round(3)
 
 
@@ -185,6 +190,7 @@ def _shell(triangles: np.ndarray, top: float) -> list[Geom]:
         for t in _floor_triangles(triangles)
         for k in range(3)
     ]
+    # An edge inside of the floor belongs to two triangles, in opposite directions.
     outer = [(a, b) for a, b in edges if (b, a) not in edges]
     return [_panel(np.array(a), np.array(b), top) for a, b in outer]
 
@@ -221,12 +227,14 @@ def _block(triangles: np.ndarray, extent: Extent, floor: Walkable) -> list[Geom]
     pieces = np.empty(inside.shape, np.int32)
     label(inside & (floor.far > VOID_M), output=pieces)
     sizes = np.bincount(pieces.ravel()) * CELL_M**2
+    # Label 0 is everything else.
     sizes[0] = 0.0
     core = np.isin(pieces, np.flatnonzero(sizes >= MIN_VOID_M2))
     around = Walkable(floor.origin, core)
     stairs = inside & (around.far < VOID_M - _GAP_M) & (floor.far > _GAP_M)
     region = stairs | (within & ~inside)
     rows, columns = (n // _BLOCK_CELLS for n in region.shape)
+    # Cut to whole squares; the margin of the raster is empty.
     coarse = region[: rows * _BLOCK_CELLS, : columns * _BLOCK_CELLS]
     shape = (rows, _BLOCK_CELLS, columns, _BLOCK_CELLS)
     return [

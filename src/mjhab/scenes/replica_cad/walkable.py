@@ -35,11 +35,13 @@ class Walkable:
     def far(self) -> np.ndarray:
         """Distance (X, Y) [m] of every cell's centre from the walkable floor; 0 on it."""
         away = np.asarray(distance_transform_edt(~self.mask)) * CELL_M
+        # Distances go between centres of cells, and floor begins half a cell before its centre.
         return np.maximum(away - CELL_M / 2, 0.0)
 
     def distance(self, xy: np.ndarray) -> np.ndarray:
         """Look up the distance (...) [m] of positions (..., 2) [m] from the walkable floor, good to a cell."""
         cells = np.floor((xy - self.origin) / CELL_M).astype(int)
+        # Past the margin the cell at the edge is far enough from everything.
         cells = np.clip(cells, 0, np.array(self.mask.shape) - 1)
         return self.far[cells[..., 0], cells[..., 1]]
 
@@ -99,4 +101,5 @@ def fill(mask: np.ndarray, origin: np.ndarray, corners: np.ndarray) -> None:
         side = (b[0] - a[0]) * (y - a[1]) - (b[1] - a[1]) * (x - a[0])
         left &= side >= -1e-9
         right &= side <= 1e-9
+    # Polygons may be wound either way.
     mask[low[0] : high[0], low[1] : high[1]] |= left | right

@@ -91,6 +91,7 @@ def read_scan(path: Path) -> Scan:
         UsageError: the file is broken, has no texture, or its size is not that of an object; the message names it.
     """
     part, *others = read_glb(path)
+    # The scans of the benchmark are one mesh each; anything else is another file.
     if others or part.texture is None or part.uv is None:
         raise fault(
             path, "not one mesh with a base colour texture; download the file again."
@@ -114,6 +115,7 @@ def object_from_scan(name: str, scan: Scan) -> tuple[ObjectType, dict[str, Mesh]
         The type, and the meshes of its geoms by name.
     """
     surface = HullSurface.of(scan.vertices)
+    # A box first: boxes grasp and stand most exactly, and most objects are boxes.
     yaw, half = box_fit(scan.vertices, surface)
     meshes: dict[str, Mesh] = {}
     if primitive_share(surface.turned(-yaw), "box", half) >= PRIMITIVE_SHARE:
@@ -133,7 +135,13 @@ def object_from_scan(name: str, scan: Scan) -> tuple[ObjectType, dict[str, Mesh]
     meshes[f"{name}_look"] = render_mesh(scan, -yaw)
     visuals = (look(f"{name}_look", "plain_white"),)
     return ObjectType(
-        name, MASSES[name], half, tuple(collision), visuals, scan_yaw=0.0 - yaw
+        # From 0.0: the negative of 0 would be -0.0, which hashes differently.
+        name,
+        MASSES[name],
+        half,
+        tuple(collision),
+        visuals,
+        scan_yaw=0.0 - yaw,
     ), meshes
 
 
@@ -190,6 +198,7 @@ def box_fit(vertices: np.ndarray, surface: HullSurface) -> tuple[float, Vec3]:
         Heading [rad] in (-pi/4, pi/4] and half-extents (3,) [m].
     """
     plan = vertices[ConvexHull(vertices[:, :2]).vertices][:, :2]
+    # A rectangle repeats after a quarter turn; without the first angle, which is the last one turned.
     angles = np.linspace(-np.pi / 4, np.pi / 4, 901)[1:]
     areas = [np.ptp(_turn(plan, -a), axis=0).prod() for a in angles]
     yaw = float(angles[int(np.argmin(areas))])
@@ -205,6 +214,7 @@ def _face_distance(surface: HullSurface, axis: int) -> float:
     """Mean distance [m] from the origin of the two sides that face along an axis, each its median by area."""
     sides = []
     for sign in (-1.0, 1.0):
+        # Within 20 degrees: rounded edges do not count as sides.
         facing = sign * surface.normals[:, axis] > 0.94
         height = sign * surface.points[:, axis]
         if not facing.any():
@@ -217,6 +227,7 @@ def _face_distance(surface: HullSurface, axis: int) -> float:
 
 def can_fit(vertices: np.ndarray, surface: HullSurface) -> Vec3:
     """Fit an upright cylinder, centred at the origin, to a scan; returns (radius, radius, half-height) [m]."""
+    # Rims and lids would make the radius smaller.
     side = np.abs(surface.normals[:, 2]) < 0.3
     radius = np.hypot(surface.points[side, 0], surface.points[side, 1])
     mean = (
@@ -278,6 +289,7 @@ def hull_of(points: np.ndarray) -> Mesh:
     They are the extreme points in evenly spread directions, among them the axes, so that the bounding box is kept.
     """
     corners = points[ConvexHull(points).vertices]
+    # With the six axes, so that the hull is as high and as wide as the scan.
     directions = np.concatenate([_sphere(HULL_DIRECTIONS - 6), np.eye(3), -np.eye(3)])
     chosen = corners[np.unique((directions @ corners.T).argmax(axis=1))]
     return hull_mesh(chosen)
@@ -341,6 +353,7 @@ def bowl_profile(vertices: np.ndarray) -> tuple[tuple[float, float], ...]:
     index = np.clip(np.searchsorted(levels, vertices[:, 2]) - 1, 0, len(middles) - 1)
     radius = np.hypot(vertices[:, 0], vertices[:, 1])
     outline = np.array(
+        # Not the largest radius: scans have stray points.
         [np.percentile(radius[index == k], 95) for k in range(len(middles))]
     )
     chord = outline[0] + (outline[-1] - outline[0]) * (middles - middles[0]) / (
@@ -368,6 +381,7 @@ def _wedge(low: tuple[float, float], high: tuple[float, float], count: int) -> n
     a = math.pi / count
     slope = math.atan2(high[0] - low[0], high[1] - low[1])
     inward = BOWL_WALL_M / math.cos(slope)
+    # Halfway between the inscribed and the circumscribed polygon.
     grow = 2 / (1 + math.cos(a))
     corners = []
     for radius, z in (low, high):

@@ -34,6 +34,7 @@ def blocking_polygons(home: Home, pack: Pack) -> list[np.ndarray]:
         template = (
             pack.props.get(placement.template) or pack.articulations[placement.template]
         )
+        # Rugs lie under the robot.
         if isinstance(template, Prop) and not template.blocks_base:
             continue
         polygons += _template(template, pack).polygons(placement)
@@ -66,6 +67,7 @@ class _Template:
     @staticmethod
     def of(geoms: Sequence[Geom], pack: Pack) -> _Template:
         solid = [g for g in geoms if g.collide]
+        # Boxes along the axes are most of a home, and need no hull.
         plain = [g.shape == "box" and g.quat == IDENTITY for g in solid]
         boxes = [g for g, is_plain in zip(solid, plain, strict=True) if is_plain]
         pos = np.array([g.pos for g in boxes]).reshape(-1, 3)
@@ -101,5 +103,6 @@ def _flat_hull(points: np.ndarray) -> np.ndarray | None:
     """Counter-clockwise hull (N, 2) [m] of points (P, 3) seen from above; None if it does not block the base."""
     if points[:, 2].min() >= ROBOT_HEIGHT_M or points[:, 2].max() <= 0.0:
         return None
+    # Seen from above, corners coincide; Qhull is exact about the rest.
     flat = np.unique(points[:, :2].round(9), axis=0)
     return flat[ConvexHull(flat).vertices]

@@ -63,6 +63,7 @@ class _Mesh:
     def __init__(self, vertices: np.ndarray, faces: np.ndarray) -> None:
         self.place = vertices.copy()
         self.merged = np.arange(len(vertices))
+        # Faces with a corner twice have no normal.
         whole = (faces != np.roll(faces, 1, 1)).all(axis=1)
         self.faces = faces[whole]
         self.source = np.flatnonzero(whole)
@@ -81,10 +82,12 @@ class _Mesh:
             chosen = np.flatnonzero(free)
             if not len(chosen):
                 return False
+            # The cheapest first, because only some of them are kept.
             chosen = chosen[np.argsort(rank[chosen])]
             within = max(ROUND_SHARE * len(ends), rank[chosen[0]])
             chosen = chosen[rank[chosen] <= within][: (most + 1) // 2]
             bad = self._turns(ends[chosen], place[chosen])
+            # For the rest of this round: after it, faces around have changed.
             cost[chosen[bad]] = np.inf
             kept = chosen[~bad]
             if len(kept):
@@ -112,12 +115,14 @@ class _Mesh:
         )
         point = np.concatenate([place, np.ones((len(ends), 1))], axis=1)
         cost = np.einsum("ei,eij,ej->e", point, quadric, point)
+        # On flat surfaces all edges cost nothing: then short ones go first.
         return place, np.maximum(cost, 0.0) + 1e-6 * weight * length**2
 
     def _cheapest_near(self, ends: np.ndarray, rank: np.ndarray) -> np.ndarray:
         """Lowest rank (e,) of the edges at the vertices of all faces that touch each edge."""
         count = len(self.place)
         at_vertex = np.full(count, len(rank), np.int64)
+        # With ``at``, since plain indexing would keep one of several edges at a vertex.
         np.minimum.at(at_vertex, ends.ravel(), np.repeat(rank, 2))
         at_face = at_vertex[self.faces].min(axis=1)
         near = np.full(count, len(rank), np.int64)
@@ -132,6 +137,7 @@ class _Mesh:
         moved[ends] = place[:, None]
         touched = (owner[self.faces] >= 0).any(axis=1)
         faces = self.faces[touched]
+        # Chosen edges share no face, so that a face has one owner, or -1.
         whose = owner[faces].max(axis=1)
         gone = (owner[faces] == whose[:, None]).sum(axis=1) > 1
         corners = self.place[faces]
@@ -148,6 +154,7 @@ class _Mesh:
     def _apply(self, ends: np.ndarray, place: np.ndarray) -> None:
         keep = ends[:, 0]
         drop = ends[:, 1]
+        # Vertices keep their numbers; what is no longer used is dropped in the end.
         self.place[keep] = place
         self.quadric[keep] += self.quadric[drop]
         label = np.arange(len(self.place))

@@ -32,6 +32,7 @@ class FloorPolygon:
         """Return whether the two overlap in plan and height."""
         a = self.box
         b = other.box
+        # Nearly all pairs are far apart, and comparing boxes is much faster than edges.
         if a[0] > b[2] or b[0] > a[2] or a[1] > b[3] or b[1] > a[3]:
             return False
         return (
@@ -62,6 +63,7 @@ def outline(geom: Geom, meshes: Mapping[str, object] | None = None) -> np.ndarra
             geom.shape
         ]
         angle = np.linspace(0.0, 2 * math.pi, 16, endpoint=False)
+        # Circumscribed: an outline must not be smaller than the shape.
         ring = np.stack([np.cos(angle), np.sin(angle)], 1) * (r / math.cos(math.pi / 16))
         points = np.concatenate(
             [np.column_stack([ring, np.full(16, s * half)]) for s in (-1.0, 1.0)]
@@ -151,6 +153,7 @@ def meet(a: np.ndarray, b: np.ndarray, gap: float = 0.0) -> bool:
     for polygon in (a, b):
         edges = np.roll(polygon, -1, axis=0) - polygon
         normals = np.stack([edges[:, 1], -edges[:, 0]], 1)
+        # Unit length, so that the gap is in metres.
         normals /= np.linalg.norm(normals, axis=1, keepdims=True)
         pa = a @ normals.T
         pb = b @ normals.T

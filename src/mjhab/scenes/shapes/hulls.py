@@ -31,6 +31,7 @@ def smallest_box(points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray
         -1, 3
     )
     best: tuple[float, np.ndarray] | None = None
+    # The axes first: of equal boxes the one along the axes is kept.
     for normal in np.concatenate([np.eye(3), normals]):
         z = normal / np.linalg.norm(normal)
         x = np.cross(z, np.eye(3)[np.argmin(np.abs(z))])
@@ -49,6 +50,7 @@ def smallest_box(points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray
         )
         k = int(area.argmin())
         volume = float(area[k] * np.ptp(local[:, 2]))
+        # Smaller by more than rounding, else the choice could differ between machines.
         if best is None or volume < best[0] * (1 - 1e-9):
             turn = np.array(
                 [[c[k, 0], -s[k, 0], 0.0], [s[k, 0], c[k, 0], 0.0], [0.0, 0.0, 1.0]]
@@ -69,6 +71,7 @@ def boxed_hull(geom: Geom, pack: Pack) -> Geom:
     if mesh not in _BOXES:
         _BOXES[mesh] = smallest_box(mesh.vertices)
     center, half, rot = _BOXES[mesh]
+    # A box of least volume is another one after a scaling that is not uniform.
     if geom.size != (1.0, 1.0, 1.0):
         center, half, rot = smallest_box(mesh.vertices * np.array(geom.size))
     quat = np.array(geom.quat, float)
@@ -94,8 +97,10 @@ def hull_mesh(points: np.ndarray) -> Mesh:
     hull = ConvexHull(points)
     faces = hull.simplices.copy()
     a, b, c = (points[faces[:, k]] for k in range(3))
+    # Qhull winds its triangles either way.
     inward = np.einsum("fk,fk->f", np.cross(b - a, c - a), hull.equations[:, :3]) < 0
     faces[inward] = faces[inward][:, ::-1]
+    # Points within the hull are left out.
     order, index = np.unique(faces, return_inverse=True)
     return Mesh(points[order].astype(np.float32), index.reshape(-1, 3).astype(np.int32))
 

@@ -52,6 +52,7 @@ def mesh_from_arrays(name: str, arrays: Mapping[str, np.ndarray]) -> Mesh:
         part: arrays[f"{name}/{part}"] for part in _OPTIONAL if f"{name}/{part}" in arrays
     }
     textures: list[np.ndarray] = []
+    # Their number is nowhere in the file.
     while (key := f"{name}/texture{len(textures)}") in arrays:
         textures.append(arrays[key])
     return Mesh(

@@ -62,6 +62,7 @@ def _stopped_by(
     for link in pack.articulations[placement.template].links:
         free = travel(link, placement, walls) if link.joint == "hinge" else np.inf
         if link.range[0] < free < link.range[1]:
+            # Rounded down: two decimals for people to read, and never past the wall.
             limit = np.floor((free - _LIMIT_MARGIN_RAD) * 100) / 100
             yield f"{placement.template}/{link.name}", float(limit)
 
@@ -116,6 +117,7 @@ def travel(link: Link, at: Placement, around: Sequence[FloorPolygon]) -> float:
         return True
 
     good = low
+    # In order, because a door does not jump over a wall to the free range behind it.
     for q in np.linspace(low, high, _SWEEP_POSES + 1)[1:].tolist():
         if not free(q):
             return _last_free(free, good, q)
@@ -140,6 +142,7 @@ def _flat(geom: Geom, link: Link, lift: float) -> tuple[np.ndarray, tuple[float,
     """Convex outline (N, 2) in the frame of the link, height interval in the world [m]; the piece must be upright."""
     points = outline(geom)
     z = points[:, 2] + link.pos[2] + lift
+    # Doors end at the height of the plinth and of the worktop, and do not touch them.
     height = float(z.min()) + _SKIN_M, float(z.max()) - _SKIN_M
     return _hull(points), height
 
@@ -178,6 +181,7 @@ def solids_near(
         closed: with the piece itself and with all doors and drawers, closed; else without either.
     """
     solid = _walls(home)
+    # Farther than any door or drawer reaches.
     near = 3.0
     for placement in (*home.props, *home.articulations):
         apart = np.hypot(*np.subtract(placement.pos[:2], piece.pos[:2]))

@@ -32,15 +32,19 @@ def textured_mesh(parts: Sequence[Primitive]) -> Mesh:
     textures: list[np.ndarray] = []
     start = 0
     for part in parts:
+        # Per part: pieces of one material are closed by themselves.
         faces, winding = turned_outwards(part.vertices, part.faces.astype(np.int64))
         uv = np.zeros((len(faces), 3, 2)) if part.uv is None else part.uv[faces]
         number = -1
         if part.texture is not None and part.uv is not None:
+            # By identity: parts of one file share their image.
             number = images.setdefault(id(part.texture), len(images))
             if number == len(textures):
                 textures.append(fit_texture(part.texture, part.vertices[faces], uv))
         back = np.flatnonzero(winding.sheet)
+        # Renderers draw only the front of a face.
         both = np.concatenate([faces, faces[back][:, ::-1]])
+        # glTF gives colours as linear light; those of meshes are sRGB.
         color = np.broadcast_to(linear_to_srgb(part.color), (len(both), 3))
         uv = np.concatenate([uv, uv[back][:, ::-1]])
         columns.append(
@@ -80,6 +84,7 @@ def fit_texture(image: np.ndarray, corners: np.ndarray, uv: np.ndarray) -> np.nd
     q = uv[:, 2] - uv[:, 0]
     covered = np.abs(p[:, 0] * q[:, 1] - p[:, 1] * q[:, 0]).sum() / 2
     while (
+        # Tiny images are all that a plain surface has.
         min(image.shape[:2]) > 8
         and covered * image.shape[0] * image.shape[1] > surface * TEXELS_PER_M**2
     ):

@@ -114,6 +114,7 @@ def lathe(profile: list[tuple[float, float]], segments: int = 24) -> Mesh:
             b = i * segments + (j + 1) % segments
             c = a + segments
             d = b + segments
+            # On the axis a ring is one point, and a triangle there would have no area.
             if profile[i][0] > 1e-9:
                 faces.append((a, b, d))
             if profile[i + 1][0] > 1e-9:
@@ -124,6 +125,7 @@ def lathe(profile: list[tuple[float, float]], segments: int = 24) -> Mesh:
 def rounded_box(size: Vec3, radius: float, steps: int = 2) -> Mesh:
     """Make a box of full edge lengths ``size`` [m] with edges of radius ``radius`` [m] in ``steps`` segments."""
     half = np.array(size) / 2
+    # With a larger radius the edges would pass each other.
     radius = min(radius, float(half.min()))
     vertices = []
     faces = []
@@ -158,7 +160,9 @@ def _rounded_side(
     inner = np.clip(p, -core, core)
     away = p - inner
     p = inner + radius * away / np.maximum(
-        np.linalg.norm(away, axis=1, keepdims=True), 1e-12
+        # On the flat part there is no direction to the edge.
+        np.linalg.norm(away, axis=1, keepdims=True),
+        1e-12,
     )
     n, m = grid_u.shape
     a = (np.arange(n - 1)[:, None] * m + np.arange(m - 1)).ravel()
@@ -181,6 +185,7 @@ def foliage(seed: int, leaves: int, reach: float, height: float, leaf: float) ->
     vertices = []
     faces = []
     for i in range(leaves):
+        # The golden angle: leaves never stand above each other.
         turn = 2.399963 * i + rng.uniform(-0.2, 0.2)
         out = reach * rng.uniform(0.45, 1.0)
         top = height * rng.uniform(0.55, 1.0) * (1.15 - 0.5 * out / reach)
@@ -193,6 +198,7 @@ def foliage(seed: int, leaves: int, reach: float, height: float, leaf: float) ->
         for k in range(3):
             a = base + 2 * k
             up = [(a, a + 1, a + 3), (a, a + 3, a + 2)]
+            # Both sides of a leaf are seen.
             faces += up + [f[::-1] for f in up]
     return Mesh(np.concatenate(vertices).astype(np.float32), np.array(faces, np.int32))
 

@@ -41,8 +41,10 @@ def simplify(vertices: np.ndarray, faces: np.ndarray, max_faces: int) -> Simplif
         return Simplified(vertices, faces, np.arange(len(faces)))
     side = _sides(vertices, faces)
     size = float(np.ptp(vertices, axis=0).max())
+    # Bisected on a scale of ratios, since the number of faces goes with the square of the cell.
     fine = np.log(_CELL_SHARES[1] * size)
     coarse = np.log(_CELL_SHARES[0] * size)
+    # The coarsest one is the answer if no finer grid meets the budget.
     best = _cluster(vertices, faces, side, float(np.exp(coarse)))
     for _ in range(_BISECTIONS):
         middle = (fine + coarse) / 2
@@ -72,6 +74,7 @@ def _cluster(
     """Cluster (V,) of every vertex; faces (f,) whose corners are in three clusters, without duplicates."""
     grid = np.floor((vertices - vertices.min(axis=0)) / cell).astype(np.int64)
     width = grid.max(axis=0) + 1
+    # One number per cell and side, which sorts faster than rows.
     key = ((grid[:, 0] * width[1] + grid[:, 1]) * width[2] + grid[:, 2]) * 6 + side
     found, label = np.unique(key, return_inverse=True)
     new = label[faces]
@@ -79,6 +82,7 @@ def _cluster(
         (new[:, 0] != new[:, 1]) & (new[:, 1] != new[:, 2]) & (new[:, 2] != new[:, 0])
     )
     new = new[kept]
+    # The smallest corner first: equal faces are equal rows, but keep their winding.
     turn = new.argmin(axis=1)
     rolled = np.take_along_axis(new, (turn[:, None] + np.arange(3)) % 3, axis=1)
     count = len(found)

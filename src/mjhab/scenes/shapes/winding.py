@@ -48,6 +48,7 @@ def find_winding(points: np.ndarray, faces: np.ndarray) -> Winding:
     if len(rows):
         corners = _welded(points)[faces[rows]]
         piece, turned, closed = _pieces(corners)
+        # A closed surface wound inwards encloses a negative volume.
         volume, least = _volumes(points[faces[rows]], piece, turned)
         solid = closed & (np.abs(volume) > least)
         flipped[rows] = solid[piece] & (turned ^ (volume < 0.0)[piece])
@@ -80,6 +81,7 @@ def reversed_where(flipped: np.ndarray, corners: np.ndarray) -> np.ndarray:
 
 def _welded(points: np.ndarray) -> np.ndarray:
     """Number (V,) of the place of every vertex; vertices at the same place have the same number."""
+    # A mesh of one point has no size.
     size = max(float(np.ptp(points, axis=0).max(initial=0.0)), 1e-12)
     grid = np.round((points - points.min(axis=0)) / size, WELD_DIGITS)
     return np.unique(grid, axis=0, return_inverse=True)[1].reshape(-1)
@@ -123,10 +125,12 @@ def _pieces(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         coo_matrix((np.ones(len(a), bool), (a, b)), shape=(2 * count, 2 * count)),
         directed=False,
     )[1]
+    # Each piece appears twice, as it is and reversed: the smaller label names both.
     low = np.minimum(label[:count], label[count:])
     first, piece = np.unique(low, return_inverse=True)
     piece = piece.reshape(-1)
     two_sided = np.ones(len(first), bool)
+    # A face linked with its own reverse lies on a Moebius strip, which has no outside.
     two_sided[piece[label[:count] == label[count:]]] = False
     return piece, label[:count] != low, two_sided & _closed(owner, order, size, piece)
 

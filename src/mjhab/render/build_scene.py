@@ -68,8 +68,10 @@ class SceneBuilder:
         self._local: list[tuple[np.ndarray, np.ndarray]] = []
         self._home_pose: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
         self._home_material: list[np.ndarray] = []
+        # Pixels that show nothing are 0 in an image of zeros.
         self._segments: dict[str, int] = {"background": 0}
         self._lights: list[list[Light]] = [[] for _ in range(num_homes)]
+        # The first one, so that its id is `PLAIN_FACE`.
         self.add_material(Material((0.8, 0.8, 0.8)))
 
     def add_material(self, material: Material, texture: np.ndarray | None = None) -> int:
@@ -118,6 +120,7 @@ class SceneBuilder:
             self._coarser.append(len(self._levels) + 1)
             self._levels.append(level)
             self._face_materials.append(material[level.source])
+        # The coarsest level has no next one.
         self._coarser[-1] = -1
         return self._meshes.setdefault(key, first)
 
@@ -129,6 +132,7 @@ class SceneBuilder:
         color = (
             np.ones((count, 3))
             if mesh.face_color is None
+            # Rounded: scans have thousands of colours that nobody tells apart, and each is a material.
             else np.round(mesh.face_color, 2)
         )
         number = np.full(count, -1) if mesh.face_texture is None else mesh.face_texture
@@ -162,6 +166,7 @@ class SceneBuilder:
             found = (meshes or {}).get(geom.mesh)
             if not isinstance(found, Mesh):
                 raise unknown_name("mesh", geom.mesh, meshes or {})
+            # A capsule cannot be a scaled unit one, as its ends would not stay round: one mesh for each proportion.
             return self.add_mesh(("mesh", geom.mesh), found), geom.size
         if geom.shape == "capsule":
             return self.add_mesh(
@@ -271,6 +276,7 @@ class SceneBuilder:
             UsageError: the material, the mesh or the body is not valid.
         """
         mesh, scale = self.add_geom_mesh(geom, meshes)
+        # -1 lets the faces keep the materials of the mesh.
         material = -1 if self._colored(mesh) else self.material(geom.material)
         return self.add_body_instance(
             mesh, body_id, (geom.pos, geom.quat), material, seg, scale
@@ -303,6 +309,7 @@ class SceneBuilder:
         where = np.asarray(pos, float) + np.einsum(
             "...rc,c->...r", frame, np.asarray(geom.pos, float)
         )
+        # A scale of 0 hides the piece in homes that lack it: all homes share their instances.
         shown = np.asarray(present, float)[..., None] * np.asarray(scale, float)
         self._local.append((np.zeros(3), np.eye(3)))
         mat = frame @ mat_from_quat(np.asarray(geom.quat))
@@ -372,6 +379,7 @@ class SceneBuilder:
 
     def _look_arrays(self) -> dict[str, np.ndarray]:
         looks = [material for material, _ in self._materials]
+        # Patterns need two colours; a darker shade of the first goes with everything.
         second = [m.color2 or tuple(0.72 * c for c in m.color) for m in looks]
         pattern = np.array([m.pattern != "plain" for m in looks])
         return {
@@ -390,6 +398,7 @@ class SceneBuilder:
 
     def _light_arrays(self) -> dict[str, np.ndarray]:
         """Lamps of all homes; unused slots have zero colour."""
+        # At least one slot, because kernels take no empty arrays.
         most = max(1, *(len(lights) for lights in self._lights))
         pos = np.zeros((self.num_homes, most, 3))
         color = np.zeros((self.num_homes, most, 3))

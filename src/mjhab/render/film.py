@@ -40,6 +40,7 @@ class FilmWriter:
         self._shape: tuple[int, int] | None = None
         self._process: subprocess.Popen[bytes] | None = None
         self._part: Path | None = None
+        # A file and not a pipe: ffmpeg would stand still once nobody empties a full pipe.
         self._log = tempfile.TemporaryFile()  # noqa: SIM115 (lives as long as the writer)
 
     def __enter__(self) -> FilmWriter:
@@ -82,6 +83,7 @@ class FilmWriter:
             )
         assert self._process is not None and self._process.stdin is not None
         try:
+            # The buffer itself, without a copy as bytes.
             self._process.stdin.write(np.ascontiguousarray(frame).data)
         except OSError as error:
             raise self._failed() from error
@@ -102,8 +104,10 @@ class FilmWriter:
             self._process.stdin.close()
         except OSError as error:
             raise self._failed() from error
+        # Only then is the file whole: ffmpeg writes the index when its input ends.
         if self._process.wait() != 0:
             raise self._failed()
+        # Nobody ever sees half a film under its name.
         os.replace(self._part, self.path)
         self._log.close()
 
@@ -129,9 +133,11 @@ class FilmWriter:
         )
 
     def _start(self, height: int, width: int) -> subprocess.Popen[bytes]:
+        # On use: environments without films need no ffmpeg.
         import imageio_ffmpeg
 
         self.path.parent.mkdir(parents=True, exist_ok=True)
+        # In the same folder, as a rename works within one file system only; with the process, since several may write.
         self._part = self.path.with_name(f".{self.path.stem}.{os.getpid()}.part.mp4")
         command = [imageio_ffmpeg.get_ffmpeg_exe(), "-loglevel", "error", "-y"]
         command += [
@@ -183,6 +189,7 @@ def join_films(parts: Sequence[Path], path: Path) -> None:
     import imageio_ffmpeg
 
     quoted = (_url(part.resolve()).replace("'", r"'\''") for part in parts)
+    # By standard input, which needs no file for the list.
     listed = "".join(f"file '{name}'\n" for name in quoted)
     command = [imageio_ffmpeg.get_ffmpeg_exe(), "-loglevel", "error", "-y"]
     command += [

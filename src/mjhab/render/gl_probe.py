@@ -27,6 +27,7 @@ def _works(backend: str) -> bool:
     """Whether ``mujoco.Renderer`` renders a box with this GL backend within the time limit."""
     try:
         result = subprocess.run(
+            # The backend is chosen at MuJoCo's first import, so that each needs a process.
             [sys.executable, "-c", _SCRIPT],
             env={**os.environ, "MUJOCO_GL": backend, "PYOPENGL_PLATFORM": backend},
             capture_output=True,

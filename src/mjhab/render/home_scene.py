@@ -67,6 +67,7 @@ class CameraChange(NamedTuple):
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Positions (W, C, 3), orientations (W, C, 3, 3) and fields of view (W, C) [rad] of the changed cameras."""
         moved = pos + np.einsum("wcij,wcj->wci", mat, self.shift)
+        # The tangent is what an image is wide by; scaled angles would distort wide views.
         wide = 2.0 * np.arctan(self.widen * np.tan(0.5 * np.asarray(fovy)))
         return moved, mat @ self.turn, wide
 
@@ -101,11 +102,13 @@ def is_sane(body_pos: np.ndarray, body_mat: np.ndarray) -> np.ndarray:
     """
     # NaN fails the comparisons.
     near = (np.abs(body_pos) < DIVERGED_BEYOND_M).all((1, 2))
+    # Entries of rotations are at most 1, with room for rounding.
     return np.asarray(near & (np.abs(body_mat) < 2.0).all((1, 2, 3)))
 
 
 def _placed(images: np.ndarray, rows: np.ndarray) -> np.ndarray:
     """Images (W, ...) of all worlds, from those of the worlds ``rows`` (W,) bool; zeros for the others."""
+    # The usual case needs no copy.
     if rows.all():
         return images
     whole = np.zeros((len(rows), *images.shape[1:]), images.dtype)
@@ -130,6 +133,7 @@ class HomeRenderer:
     ) -> None:
         self._sim = sim
         self.layout = sim.layout
+        # Models of all homes of a layout have the same bodies.
         self._model = sim.model(sim.layout.pack.homes[0].name)
         self.scene = build_render_scene(sim.layout, self._model)
         self.rasterizer = Rasterizer(self.scene, num_threads)
@@ -170,9 +174,11 @@ class HomeRenderer:
         if tracer is not None:
             drawn -= {"rgb"}
             drawn |= set(tracer.guides)
+            # Perturbed looks are of the rasterizer; the tracer has materials of its own.
             looks = None
         images = {}
         if drawn:
+            # Observations stay as policies were trained on them.
             rasterizer = self.rasterizer if quality == FAST else self.dressed
             images = rasterizer.render(
                 home, body_pos, body_mat, cameras, sorted(drawn), quality, looks=looks
@@ -235,6 +241,7 @@ class HomeRenderer:
         mounts, looks = changed if changed is not None else (None, None)
         if mounts is not None:
             pos, mat, fovy = mounts.applied(pos, mat, fovy)
+            # Changed views have a field of view per world, others one for all.
             fovy = fovy[rows]
         drawn = self.render(
             index[rows],

@@ -102,6 +102,7 @@ def _add_shell(builder: SceneBuilder, layout: Layout) -> None:
 def _add_boxes(
     builder: SceneBuilder, unit: int, boxes: Sequence[tuple[Geom, ...]], seg: str
 ) -> None:
+    # Homes have different numbers of walls, and share instances all the same.
     absent = Geom("box", (0.0, 0.0, 0.0), PARKED)
     for k in range(max(len(row) for row in boxes)):
         row = [b[k] if k < len(b) else absent for b in boxes]
@@ -122,6 +123,7 @@ def _add_standing(
     seg: str,
     meshes: dict[str, object],
 ) -> None:
+    # Hidden by its scale, and parked as well, for whoever looks at positions alone.
     pos = np.array([PARKED if p is None else p.pos for p in at])
     quat = np.array([IDENTITY if p is None else p.rotation for p in at])
     present = np.array([p is not None for p in at])
@@ -147,11 +149,13 @@ def _gaps(geoms: Sequence[Geom]) -> tuple[Geom, ...]:
 def _add_ceilings(builder: SceneBuilder, homes: Sequence[Home]) -> None:
     """Add a ceiling on the walls of every home that has some: one side, which is not drawn from above."""
     corners = np.array([(-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0)], np.float32)
+    # Wound so that its front is below: from above one looks into the rooms.
     below = Mesh(corners, np.array([(0, 2, 1), (0, 3, 2)], np.int32))
     spans = np.array([_walls_span(home) for home in homes])
     middle = 0.5 * (spans[:, 0] + spans[:, 1])
     half = 0.5 * (spans[:, 1] - spans[:, 0])
     middle[:, 2] = spans[:, 1, 2]
+    # A sheet has no height; its scale says only whether there is a ceiling.
     half[:, 2] = (half[:, 2] > 0.0).astype(float)
     builder.add_world_instance(
         builder.add_mesh("ceiling", below),

@@ -68,6 +68,7 @@ def mesh_levels(mesh: Mesh) -> list[Level]:
         below `MIN_FACES` faces.
     """
     if len(mesh.faces) < MIN_FACES:
+        # Small meshes are made faster than they are read.
         return _make(mesh)
     path = cache_dir() / "meshes" / f"{_digest(mesh)}.npz"
     found = _load(path)
@@ -153,9 +154,11 @@ def _coarser(
     before = len(faces)
     error = off
     for few, merged in collapse(start.vertices, start.faces, targets):
+        # A level that saves little costs memory for nothing.
         if len(few.faces) > MOST_KEPT * before:
             continue
         before = len(few.faces)
+        # A coarser level never claims less error than a finer one, or it would be taken first.
         error = max(error, off + _error(start.vertices, few, merged))
         yield Simplified(few.vertices, few.faces, start.source[few.source]), error
 
@@ -204,6 +207,7 @@ def _slopes(corners: np.ndarray, values: np.ndarray) -> np.ndarray:
     ab = (a * b).sum(1)
     bb = (b * b).sum(1)
     det = aa * bb - ab * ab
+    # On slivers the gradient is 0 / 0; a constant value is the least wrong there.
     safe = det > 1e-8 * (aa * bb) + 1e-30
     inv = np.where(safe, 1.0 / np.where(safe, det, 1.0), 0.0)[:, None]
     to_a = (bb[:, None] * a - ab[:, None] * b) * inv
@@ -233,6 +237,7 @@ def _level(
     corners = np.asarray(vertices, np.float64)[faces]
     normal = _affine(corners, normals)
     flat = (normals == normals[:, :1]).all(axis=(1, 2))
+    # Exactly constant on flat faces, where rounding of a gradient would shade a wall unevenly.
     normal[flat] = np.concatenate(
         [np.zeros((int(flat.sum()), 3, 3)), normals[flat, 0, :, None]], axis=2
     )
@@ -280,6 +285,7 @@ def corner_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     grid = np.round(
         np.asarray(vertices, np.float64)
         / max(float(np.ptp(vertices, axis=0).max()), 1e-9)
+        # To a hundred-thousandth of the mesh: files repeat corners with rounding errors.
         * 1e5
     )
     weld = np.unique(grid.astype(np.int64), axis=0, return_inverse=True)[1].reshape(-1)
@@ -300,5 +306,6 @@ def corner_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
                 length > 1e-14, total / np.maximum(length, 1e-14), own[:, k]
             )
     flat = np.abs(result.reshape(-1, 3, 3) - unit[:, None]).max((1, 2)) < 1e-5
+    # Exactly the normal of the face, so that `_level` knows it as flat.
     result = np.where(flat[:, None, None], unit[:, None], result.reshape(-1, 3, 3))
     return result.astype(np.float32)

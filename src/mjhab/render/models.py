@@ -90,6 +90,7 @@ def home_models(
     """
     if max_faces is not None:
         scene = _coarser(scene, max_faces)
+    # What a home lacks has scale 0.
     shown = np.flatnonzero((scene.home_scale[home] != 0.0).all(axis=1))
     by_body: dict[int, list[int]] = defaultdict(list)
     for instance in shown.tolist():
@@ -161,15 +162,18 @@ class _Looks:
         picture = _picture(scene, number, self._max_side)
         if not scene.mat_pattern[material]:
             return Look(color, gloss, picture, kind)
+        # Browsers know no patterns: the two colours are mixed here.
         mix = picture[..., :1] / 255.0
         shade = picture[..., 1:2] * (SHADE_TOP / 255.0)
         light = shade * (color + mix * (scene.mat_color2[material] - color))
+        # The colour is in the picture already.
         return Look(np.ones(3), gloss, srgb_bytes(light), kind)
 
 
 def _picture(scene: RenderScene, number: int, max_side: int) -> np.ndarray:
     """The finest mip level (h, w, 3) uint8 of a texture with sides up to ``max_side``."""
     bits = scene.texels.bits[number]
+    # Mip levels are there anyway, and are averaged in linear light.
     level = max(0, int(bits.max()) - (max_side.bit_length() - 1))
     wide = 1 << max(0, int(bits[0]) - level)
     high = 1 << max(0, int(bits[1]) - level)
@@ -207,6 +211,7 @@ def _corners(
     points = scene.vertices[scene.faces[faces]].astype(np.float64)
     scale = scene.home_scale[home, instance]
     normals = (
+        # Normals are divided by the scale where points are multiplied.
         np.einsum("fij,fkj->fki", scene.face_normal[faces], _with_one(points)) / scale
     )
     normals = _unit(normals)
@@ -265,6 +270,7 @@ def _pattern_uv(
 
 def _joined(look: int, corners: np.ndarray) -> Part:
     """A part from corners (3 F, 8), merging equal corners into one vertex."""
+    # Rounded, so that equal corners are equal bytes; adding 0 makes -0.0 a 0.0.
     rows = np.ascontiguousarray(np.round(corners, 5), np.float32) + np.float32(0.0)
     _, first, index = np.unique(
         rows.view(f"V{rows.shape[1] * 4}").reshape(-1),

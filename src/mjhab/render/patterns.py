@@ -64,6 +64,7 @@ def _noise(
     seed: int, u: np.ndarray, v: np.ndarray, cells_u: int, cells_v: int
 ) -> np.ndarray:
     """Smooth value noise in 0..1 with period 1 in u and v, and the given number of cells in each direction."""
+    # A fixed seed per pattern, since images are compared between machines.
     values = np.random.default_rng(seed).random((cells_v, cells_u))
     x = u * cells_u
     y = v * cells_v
@@ -71,6 +72,7 @@ def _noise(
     j = np.floor(y).astype(int)
     a = x - i
     b = y - j
+    # Without a slope at the grid points, where one would see lines.
     a = a * a * (3.0 - 2.0 * a)
     b = b * b * (3.0 - 2.0 * b)
     i0 = i % cells_u
@@ -111,6 +113,7 @@ def _planks() -> tuple[np.ndarray, np.ndarray]:
     u, v = _grid(512, 1024)
     rng = np.random.default_rng(7)
     row = np.floor(v * width).astype(int)
+    # Each row begins elsewhere, as on a real floor.
     shifted = u * length / _BOARD + rng.random(int(width))[row]
     count = round(length / _BOARD)
     board = np.floor(shifted).astype(int) % count
@@ -130,7 +133,9 @@ def _seam(distance: np.ndarray, width: float, pixel: float) -> np.ndarray:
     ``pixel`` is the size of a pixel; all lengths are in the same units.
     """
     return np.clip((0.5 * width - distance) / pixel + 0.5, 0.0, 1.0) * min(
-        1.0, width / pixel
+        # A line thinner than a pixel is fainter instead of as wide as one.
+        1.0,
+        width / pixel,
     )
 
 

@@ -78,6 +78,7 @@ def capsule_mesh(radius: float, half_length: float) -> Mesh:
     ]
     lower = [(r, z - half_length) for r, z in arc]
     upper = [(r, half_length - z) for r, z in reversed(arc)]
+    # A sphere has one equator, a capsule two.
     return _lathe(lower + (upper if half_length > 0.0 else upper[1:]))
 
 

@@ -87,12 +87,14 @@ def target_views(
         for output in outputs
     }
     pos, mat = renderer.camera_poses(state, cameras)
+    # In float64, because whether a target is in an image must not depend on the simulator's precision.
     pos, mat = np.asarray(pos, np.float64), np.asarray(mat, np.float64)
     to_target = target[:, None] - pos
     fovy = np.broadcast_to(renderer.fields_of_view(cameras), to_target.shape[:2])
     aspect = width / height
     seen = in_image(_in_frame(mat, to_target), fovy, aspect)
     seen &= _norm(to_target) >= NEAREST_M
+    # Poses of diverged worlds must not reach the kernels.
     seen &= is_sane(state.body_pos, state.body_mat)[:, None]
     worlds, columns = np.nonzero(seen)
     if not len(worlds):
@@ -174,6 +176,7 @@ def turned(
     back = pos - target
     distance = _norm(back)
     back = back / distance[:, None]
+    # By the camera's own vertical, so that the view tilts with the head as its image does.
     right = np.cross(mat[:, :, 1], back)
     right = right / _norm(right)[:, None]
     return np.stack([right, np.cross(back, right), back], axis=2), distance
@@ -221,6 +224,7 @@ def relative_bytes(depth: np.ndarray, distance: np.ndarray) -> np.ndarray:
     far = distance[:, None, None]
     level = MIDDLE + REACH * (far - depth) / (RANGE_SHARE * far)
     told = np.clip(np.rint(level), MIDDLE - REACH, MIDDLE + REACH).astype(np.uint8)
+    # Depth 0 is the sky.
     return np.where(depth > 0.0, told, np.uint8(UNSEEN))
 
 

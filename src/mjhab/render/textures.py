@@ -88,8 +88,10 @@ class TexturePool:
         )
         bits = bits.reshape(-1, 2)
         sides = [np.maximum(bits[:, k, None] - np.arange(LEVELS), 0) for k in range(2)]
+        # In int64, since the sum of all textures may pass 2^31.
         sizes = np.int64(1) << (sides[0] + sides[1]).astype(np.int64)
         start = (np.cumsum(sizes) - sizes.ravel()).reshape(-1, LEVELS).astype(np.int64)
+        # At least one: kernels take no empty arrays.
         pixels = np.zeros(max(int(sizes.sum()), 1), np.uint32)
         for k, (image, linear) in enumerate(self._images):
             packed = image.astype(np.uint32)
@@ -121,9 +123,11 @@ def _curves(linear: bool) -> tuple[np.ndarray, np.ndarray]:
     value = np.arange(256) / 255.0
     light = (
         value
+        # Patterns hold shares, not colours, which are averaged as they are.
         if linear
         else np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4)
     )
+    # The byte whose light is nearest.
     middles = (light[1:] + light[:-1]) / 2
     encode = np.searchsorted(middles, np.arange(_STEPS + 1) / _STEPS).astype(np.uint32)
     return light * _STEPS, encode

@@ -66,6 +66,7 @@ def denoise(color: Any, albedo: Any, normal: Any, fast: bool) -> Any:
         albedo=albedo,
         normal=normal,
         hdr=True,
+        # Pictures that were drawn fast have hard edges, which are no clean guide.
         clean_aux=not fast,
         quality=quality,
     )
@@ -84,9 +85,11 @@ def _unavailable(variant: str) -> str:
 def _has_llvm() -> bool:
     """Whether Mitsuba can compile: with the library that it is told, else with the newest, which it is told here."""
     told = os.environ.get(LLVM_PATH, "")
+    # drjit itself takes any version, also one that ends the process.
     path = told or max(glob.glob("/usr/lib/*/libLLVM*.so*"), key=_number, default="")
     if _number(path) < OLDEST_LLVM:
         return False
+    # Before drjit is imported, which looks for the library then.
     os.environ[LLVM_PATH] = path
     import drjit  # pyright: ignore[reportMissingImports]
 

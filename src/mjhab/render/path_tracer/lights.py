@@ -73,6 +73,7 @@ def sky(mi: Any, light: Daylight) -> dict[str, Any]:
     height, width = SKY_SIZE
     # Row 0 is straight up.
     up = np.cos((np.arange(height) + 0.5) / height * np.pi)
+    # The square root: most of the change of a clear sky is near the horizon.
     share = np.clip(up, 0.0, 1.0)[:, None] ** 0.5
     above = np.array(light.horizon) + share * np.subtract(light.zenith, light.horizon)
     rows = np.where(up[:, None] > 0.0, above, np.array(light.ground))

@@ -34,6 +34,7 @@ def surface(mi: Any, look: Look, samples: int) -> dict[str, Any]:
             "metallic": METALLIC if look.kind == "metal" else 0.0,
             "specular": 0.5,
         }
+    # Meshes of files are seen from behind as well.
     return {"type": "twosided", "inner": inner}
 
 
@@ -51,6 +52,7 @@ def _color(mi: Any, look: Look) -> dict[str, Any]:
     return {
         "type": "bitmap",
         "bitmap": mi.Bitmap(np.ascontiguousarray(texture)),
+        # Textures are sRGB, which Mitsuba is to convert.
         "raw": False,
         "filter_type": "bilinear",
     }

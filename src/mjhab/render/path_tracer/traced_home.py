@@ -72,6 +72,7 @@ class TracedHome:
         faces = FEW_FACES if shading.samples <= FEW_SAMPLES else None
         drawn = home_models(alone, 0, faces, max_side=MAX_TEXTURE)
         self._ceiling = [span]
+        # Without windows no daylight would come in at all.
         if not self._openings:
             self._openings, self._ceiling = skylights(drawn.lamp_pos, span, self.ceiling)
         self._drawn = drawn
@@ -87,6 +88,7 @@ class TracedHome:
             pos, mat: of the bodies of the world.
         """
         if roof not in self._scenes:
+            # The world itself does not move.
             bodies = [b for seen, _ in self._groups for b in seen if b != 0]
             made = self._inside() if roof else [self._open()]
             self._scenes[roof] = [
@@ -183,6 +185,7 @@ class _PlacedScene:
         self._params = mi.traverse(scene)
         keep = [f"body{body}.to_world" for body in self._bodies]
         self._params.keep(keep)
+        # NaN differs from every pose, so that the first picture places all bodies.
         self._last = np.full((len(self._bodies), 4, 4), np.nan)
 
     def at(self, pos: np.ndarray, mat: np.ndarray) -> Any:

@@ -51,6 +51,7 @@ class PathTracer:
         self.shading = shading
         self._mi: Any = mitsuba(shading.variant)
         self._light = TIMES[shading.light]
+        # In the order of use: the one that was not drawn for longest is dropped first.
         self._homes: OrderedDict[int, TracedHome] = OrderedDict()
         self._distance = self._mi.load_dict({"type": "aov", "aovs": "depth:depth"})
 
@@ -78,6 +79,7 @@ class PathTracer:
             shot = self._shot(home, body_pos, body_mat, cameras, (w, c), False)
             light = self._light_of(shot)
             if self.shading.denoise:
+                # Normals from the depth of the rasterizer, which has no noise.
                 slope = float(_slopes(cameras)[w, c])
                 albedo = srgb_to_linear(guides["rgb"][w, c] / 255.0).astype(np.float32)
                 normal = _normals(guides["depth"][w, c], slope, cameras.mat[w, c])
@@ -127,6 +129,7 @@ class PathTracer:
         w, c = which
         traced = self._home(int(home[w]))
         eye = np.asarray(cameras.pos[w, c], float)
+        # A camera above the ceiling looks into rooms from above.
         roof = bool(eye[2] < traced.ceiling)
         placed = traced.placed(
             roof, np.asarray(body_pos[w]), np.asarray(body_mat[w]).reshape(-1, 3, 3)
@@ -186,6 +189,7 @@ class PathTracer:
         return light
 
     def _traced(self, scene: Any, sensor: Any, samples: int) -> np.ndarray:
+        # The same seed for all, so that a picture does not depend on those drawn before.
         found = self._mi.render(scene, sensor=sensor, spp=samples, seed=0)
         return np.array(found, np.float32)
 
@@ -211,6 +215,7 @@ def _normals(depth: np.ndarray, slope: float, mat: np.ndarray) -> np.ndarray:
     u = slope * (np.arange(width) + 0.5 - width / 2)[None]
     v = slope * (height / 2 - np.arange(height) - 0.5)[:, None]
     point = np.stack([u * depth, v * depth, -depth], axis=-1)
+    # Rows of an image run downwards.
     found = np.cross(np.gradient(point, axis=1), -np.gradient(point, axis=0))
     found /= np.maximum(np.linalg.norm(found, axis=-1, keepdims=True), 1e-12)
     return (found @ np.asarray(mat).reshape(3, 3).T).astype(np.float32)

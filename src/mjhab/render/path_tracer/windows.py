@@ -60,9 +60,11 @@ def open_windows(scene: RenderScene) -> tuple[RenderScene, list[Opening]]:
         The scene, and its windows.
     """
     there = (scene.home_scale[0] != 0.0).all(axis=1) & (scene.instance_body == 0)
+    # Parked pieces are in the scene, too.
     there &= scene.home_pos[0, :, 2] > PARKED_BELOW
     material = scene.instance_material[0]
     glass = there & (material >= 0) & (scene.mat_kind[material] == "glass")
+    # By name, because walls are boxes like everything else.
     walls = np.flatnonzero(there & (scene.instance_seg == _segment(scene, WALL)))
     panes: list[int] = np.flatnonzero(glass).tolist()
     pieces: list[tuple[int, np.ndarray, np.ndarray]] = []
@@ -115,7 +117,9 @@ def skylights(
     rects: list[Rect] = []
     for x, y, _ in lamps.tolist():
         rect = (x - SKYLIGHT_M, y - SKYLIGHT_M, x + SKYLIGHT_M, y + SKYLIGHT_M)
+        # A hole across the edge of the ceiling could not be cut out of it.
         inside = rect[0] > x0 and rect[1] > y0 and rect[2] < x1 and rect[3] < y1
+        # Holes that overlap would let light in twice.
         apart = all(
             abs(x - (r[0] + r[2]) / 2) > 2 * SKYLIGHT_M
             or abs(y - (r[1] + r[3]) / 2) > 2 * SKYLIGHT_M
@@ -164,6 +168,7 @@ def _hole(scene: RenderScene, wall: int, pane: int) -> Rect | None:
     at = turn.T @ (scene.home_pos[0, pane] - scene.home_pos[0, wall])
     # The mesh of a pane is the unit box.
     size = np.abs(turn.T @ scene.home_mat[0, pane]) @ np.abs(scene.home_scale[0, pane])
+    # Glass of other shapes, such as a screen that stands, is no pane of this wall.
     flat = size[across] < min(size[u], size[v])
     if not flat or abs(at[across]) > half[across] + ON_WALL_M:
         return None
@@ -219,6 +224,7 @@ def _with_pieces(
     turn = scene.home_mat[0, wall]
     pos = scene.home_pos[0, wall] + np.einsum("nij,nj->ni", turn, middle)
     scale = scene.home_scale.copy()
+    # Hidden by its scale: removing instances would change the numbers of all others.
     scale[0, hidden] = 0.0
     copied = {
         name: np.concatenate([getattr(scene, name), getattr(scene, name)[wall]])

@@ -31,9 +31,11 @@ def with_words(image: np.ndarray, below: str = "", mark: str = "") -> np.ndarray
     if not below and not mark:
         return image
     height, width = image.shape[:2]
+    # Smaller letters cannot be read.
     size = max(9, round(LINE_SHARE * height))
     font = _font(size)
     bar = round(1.9 * size)
+    # The caller's picture may be shown elsewhere without words.
     out = image.copy()
     if below:
         out[height - bar :] = (BEHIND * out[height - bar :]).astype(np.uint8)

@@ -77,6 +77,7 @@ class FilmedMoment(NamedTuple):
     def points(self) -> np.ndarray:
         """(3, 3) hand, target and robot: what should be in sight."""
         robot = np.append(self.base[BASE_XY], EYE_LEVEL_M)
+        # The hand stands for a far target, so that the weights stay what they are.
         near = np.linalg.norm(self.target - self.tcp) < FAR_TARGET_M
         return np.stack([self.tcp, self.target if near else self.tcp, robot])
 
@@ -119,16 +120,20 @@ class FilmCamera:
         moved = np.linalg.norm((scene.base - last.base)[BASE_XY])
         if moved > JUMP_M:
             return Setup(self.best(scene), 0, scene.base, True, True)
+        # A share of the way: the camera follows smoothly and comes to rest.
         aim = last.view.target + PAN * (scene.middle - last.view.target)
         view = last.view._replace(target=aim)
         frames = last.frames + 1
+        # Judging draws an image, and the scene changes little in a quarter of a second.
         if frames % JUDGE_EVERY == 0:
             away = np.linalg.norm((view.eye - scene.points[2])[:2]) > AWAY_M
             seen = self.sight(scene, [view])[0]
             lost = seen[[0, 1, 3]].mean() < LOST
+            # Cuts in quick succession are hard to watch.
             if (away or lost) and (frames >= HOLD_FRAMES or not seen[:2].any()):
                 found = self.best(scene)
                 gain = self.worth(scene, [found])[0] - self.worth(scene, [view])[0]
+                # Another place that is hardly better is not worth a cut.
                 if away or gain > BETTER:
                     return Setup(found, 0, scene.base, True, False)
         return Setup(view, frames, scene.base, False, False)
@@ -184,6 +189,7 @@ class FilmCamera:
         found = [Viewpoint(eye, scene.middle, FOVY) for eye in eyes[keep]]
         found.append(self._over_shoulder(scene))
         order = np.argsort(-_taste(scene, found), kind="stable")
+        # The place over the shoulder in any case: no other need be free.
         return [found[k] for k in order[:JUDGED].tolist()] + found[-1:]
 
     def _over_shoulder(self, scene: FilmedMoment) -> Viewpoint:
@@ -218,6 +224,7 @@ def _clear(eyes: np.ndarray, points: np.ndarray, tall: Boxes) -> np.ndarray:
     """(n,) bool: places with room around them and nothing tall on most of the way to the robot (row 2 of points)."""
     if not len(tall):
         return np.ones(len(eyes), bool)
+    # A cheap test by boxes, before images are drawn.
     room = sphere_box_distance(eyes, tall).min(axis=1) > EYE_ROOM_M
     share = np.linspace(0.1, 0.7, 7)[:, None, None]
     way = (eyes + share * (points[2] - eyes)).reshape(-1, 3)
@@ -257,6 +264,7 @@ def shares_in_sight(
     )
     column = np.clip((x + width / 2).astype(int), 0, width - 1)
     row = np.clip((y + height / 2).astype(int), 0, height - 1)
+    # 0 is the sky: nothing hides the point.
     drawn = depth[row, column]
     open_to = (drawn == 0.0) | (drawn > far - HIDDEN_M)
     return (inside & open_to).mean(axis=1)

@@ -52,10 +52,12 @@ class FollowCamera:
         here = np.array([x, y])
         target = np.append(here + FOLLOW_TARGET[0] * forward, FOLLOW_TARGET[1])
         eyes = [np.append(here + f * forward + s * left, h) for f, s, h in FOLLOW_EYES]
+        # The last one is high above, from where little is hidden.
         return next((e for e in eyes if self._in_view(home, e, target)), eyes[-1]), target
 
     def _in_view(self, home: str, eye: np.ndarray, target: np.ndarray) -> bool:
         """Whether the first 3/4 of the line from ``eye`` to ``target``, both (3,) [m], are clear of tall furniture."""
+        # Not all of the way: furniture that the robot stands at may be tall.
         share = np.linspace(0.0, 0.75, 12)[:, None]
         return bool(
             (
@@ -74,6 +76,7 @@ class FollowCamera:
             top = center[:, 2] + np.einsum("kj,kj->k", np.abs(rot[:, 2]), half)
             keep = (
                 (model.geom_bodyid == 0)
+                # The floor is a plane without end, whose box says nothing.
                 & (model.geom_type != int(mujoco.mjtGeom.mjGEOM_PLANE))
                 & (top > TALL)
             )

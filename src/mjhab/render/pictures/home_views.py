@@ -59,6 +59,7 @@ def render_homes(
             raise unknown_name("home", name, known)
     if isinstance(view, str) and view not in VIEWS:
         raise unknown_name("view", view, VIEWS)
+    # Without objects: where they are depends on an episode.
     sim = CpuSimulator(Layout(pack, ()), 1, 1)
     renderer = HomeRenderer(sim, shading=shading)
     return (
@@ -99,6 +100,7 @@ def _picture(
     model = sim.model(home)
     data = mujoco.MjData(model)
     data.qpos[sim.addresses.robot_q] = parked_robot_qpos(renderer.layout.robot)
+    # Poses are all that a picture needs.
     mujoco.mj_kinematics(model, data)
     images = renderer.render(
         renderer.home_numbers([home]),
@@ -116,6 +118,7 @@ def from_top(home: Home, width: int, height: int) -> Viewpoint:
     center, size, up = floor_of(home, width, height)
     fit = max(size[1], size[0] * height / width) / 2 * 1.15
     high = 2.6 + fit / np.tan(TOP_FOVY / 2)
+    # Slightly from the side of the viewer, so that fronts are seen.
     eye = center - 0.18 * fit * np.array(up) + np.array([0.0, 0.0, high])
     return Viewpoint(eye, center, TOP_FOVY)
 
@@ -131,6 +134,7 @@ def from_inside(home: Home, pack: Pack, tall: Boxes) -> Viewpoint:
         pack: has its furniture.
         tall: what can hide things, see `FollowCamera.tall`.
     """
+    # Coarse cells: places of a camera need no more, and all pairs are compared.
     fmap = free_map(home, pack, cell=0.25)
     floor = fmap.to_xy(np.argwhere(fmap.navigable(0.2)))
     rim = _rim(floor)
@@ -140,6 +144,7 @@ def from_inside(home: Home, pack: Pack, tall: Boxes) -> Viewpoint:
     marks = np.concatenate([spots, things + np.array([0.0, 0.0, 0.6])])
     worth = np.concatenate(
         [
+            # Floor and furniture by their shares, whatever the size of a home.
             np.full(len(spots), 1.0 / len(spots)),
             np.full(len(things), 2.0 / max(1, len(things))),
         ]

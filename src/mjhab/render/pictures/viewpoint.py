@@ -52,6 +52,7 @@ def plan_of(home: Home, width: int, height: int) -> Viewpoint:
     It is turned by 90 deg if that puts the long side of the floor along the long side of the image.
     """
     center, size, up = floor_of(home, width, height)
+    # The tighter side of the image decides.
     side = PLAN_MARGIN * max(size[1], size[0] * height / width)
     eye = center + np.array([0.0, 0.0, PLAN_HEIGHT_M])
     return Viewpoint(eye, center, 2.0 * np.arctan(0.5 * side / PLAN_HEIGHT_M), up)

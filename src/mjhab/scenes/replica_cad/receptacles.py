@@ -114,7 +114,6 @@ def fit(
     xy = np.stack(np.meshgrid(*cells, indexing="ij"), axis=-1).reshape(-1, 2)
     surface, ceiling = _levels(space, pieces, xy)
     known = np.isfinite(surface)
-    # Less is no surface, but the edge of a board beside the box.
     if known.mean() < 0.1:
         return None
     level = _usual(surface[known])

@@ -115,7 +115,6 @@ def object_from_scan(name: str, scan: Scan) -> tuple[ObjectType, dict[str, Mesh]
         The type, and the meshes of its geoms by name.
     """
     surface = HullSurface.of(scan.vertices)
-    # A box first: boxes grasp and stand most exactly, and most objects are boxes.
     yaw, half = box_fit(scan.vertices, surface)
     meshes: dict[str, Mesh] = {}
     if primitive_share(surface.turned(-yaw), "box", half) >= PRIMITIVE_SHARE:

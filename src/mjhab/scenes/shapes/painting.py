@@ -84,7 +84,6 @@ def fit_texture(image: np.ndarray, corners: np.ndarray, uv: np.ndarray) -> np.nd
     q = uv[:, 2] - uv[:, 0]
     covered = np.abs(p[:, 0] * q[:, 1] - p[:, 1] * q[:, 0]).sum() / 2
     while (
-        # Tiny images are all that a plain surface has.
         min(image.shape[:2]) > 8
         and covered * image.shape[0] * image.shape[1] > surface * TEXELS_PER_M**2
     ):

@@ -201,7 +201,7 @@ def _stillness(
     near_rest = xp.abs(off_rest(state.robot_q, config)) <= tolerance
     limits = constant(speed_limits(config), state.robot_qd)
     speed = state.robot_qd[:, config.joints.body]
-    # The published code compares the speed with its sign (is_static of ManiSkill's fetch.py).
+    # The published code compares the speed with its sign (is_static of ManiSkill's robot).
     if config.stillness == "absolute":
         speed = xp.abs(speed)
     slow = speed <= limits

@@ -35,13 +35,12 @@ from mjhab.data.imports.ms_hab_layout import (
 from mjhab.data.imports.ms_hab_trajectory import trajectory_arrays, trajectory_ending
 from mjhab.data.imports.origin import Origin
 from mjhab.data.store.episode_data import EpisodeData, RunInfo
-from mjhab.data.store.hdf5 import group, read_attributes
+from mjhab.data.store.hdf5 import UNREADABLE, group, read_attributes
 from mjhab.data.store.older.object_axes import shown_objects
 from mjhab.data.store.older.schemas import OLDER_SCANNED
 from mjhab.data.store.run_entries import SCAN_YAWS
 from mjhab.data.store.schema import FORMAT
 from mjhab.data.store.shard import ShardWriter
-from mjhab.data.store.unreadable import UNREADABLE
 from mjhab.rollout.records import EpisodeRecord, PlanEntry, SubtaskRecord
 from mjhab.tasks.household.registry import TASKS
 from mjhab.tasks.subtasks.registry import SUBTASKS

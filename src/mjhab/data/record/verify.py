@@ -14,9 +14,9 @@ from mjhab.data.record.batches import MakeEnv, batches
 from mjhab.data.record.provenance import model_hash
 from mjhab.data.record.worlds import RecordedEnv
 from mjhab.data.select.query import Filter
+from mjhab.data.store.hdf5 import UNREADABLE
 from mjhab.data.store.reading import RecordedEpisode
 from mjhab.data.store.schema import DamagedError
-from mjhab.data.store.unreadable import UNREADABLE
 
 
 @dataclass

@@ -15,6 +15,7 @@ import h5py
 import numpy as np
 
 from mjhab.core.errors import fault
+from mjhab.core.files.reading import reason
 from mjhab.core.version import __version__
 from mjhab.data.store.schema import EPISODES, FORMAT, OLDEST, RUNS, VERSION, DamagedError
 
@@ -25,6 +26,10 @@ MAX_UNPACKED_RATIO = 200
 """Compression that larger datasets may have; images, the only large ones, are stored uncompressed."""
 LIBVER = ("v110", "v110")
 """File format of HDF5 1.10 (2016): files are small, and all current readers support it."""
+BROKEN = (OSError, RuntimeError, ValueError, KeyError)
+"""Exceptions that h5py raises for damaged files."""
+UNREADABLE = (*BROKEN, TypeError, IndexError, OverflowError, MemoryError)
+"""Exceptions of reading an episode whose parts have other types or shapes than the schema says."""
 _SIGNATURE = b"\x89HDF\r\n\x1a\n"
 _END_OF_FILE = 28
 """Offset of the file's length in a superblock of version 2 or 3 with 8-byte offsets (HDF5 format specification)."""
@@ -306,3 +311,17 @@ def read_arrays(parent: h5py.Group) -> dict[str, np.ndarray]:
         ValueError: see `content`.
     """
     return {path: content(dataset(parent, path)) for path in dataset_paths(parent)}
+
+
+def unreadable(path: Path, error: Exception) -> DamagedError:
+    """The error for a file that cannot be read at all, with how it is damaged."""
+    there = path.stat().st_size
+    whole = stated_length(path)
+    if there < whole:
+        return DamagedError(
+            f"{path} cannot be read: it is cut off, {there:,} of its {whole:,} bytes are there. Copy it again from "
+            "where it came from."
+        )
+    return DamagedError(
+        f"{path} cannot be read: {reason(error)}. Copy it again from where it came from."
+    )

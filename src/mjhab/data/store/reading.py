@@ -23,6 +23,7 @@ from mjhab.data.store.episode_data import (
     record_problems,
 )
 from mjhab.data.store.hdf5 import (
+    UNREADABLE,
     check_format,
     content,
     dataset,
@@ -31,8 +32,10 @@ from mjhab.data.store.hdf5 import (
     read_arrays,
     read_attributes,
     stated_length,
+    unreadable,
 )
 from mjhab.data.store.images import MAX_FRAME_BYTES, camera_output, decode
+from mjhab.data.store.older.journal import refuse_journal
 from mjhab.data.store.older.object_axes import headings
 from mjhab.data.store.older.schemas import (
     OLDER_AXES,
@@ -54,7 +57,6 @@ from mjhab.data.store.schema import (
     DamagedError,
     checks_by_name,
 )
-from mjhab.data.store.unreadable import UNREADABLE, refuse_journal, unreadable
 from mjhab.rollout.records import EpisodeRecord
 from mjhab.tasks.label_state import History
 

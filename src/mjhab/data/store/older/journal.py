@@ -30,6 +30,19 @@ def journal_path(path: Path) -> Path:
     return path.with_name(f"{path.name}.journal")
 
 
+def refuse_journal(path: Path) -> None:
+    """Refuse a shard that a writer of an older version was changing when it was killed.
+
+    Raises:
+        DamagedError: its journal is still there.
+    """
+    if journal_path(path).exists():
+        raise DamagedError(
+            f"{path} has a change that a killed writer of mjhab 0.1 did not finish. Finish it with: mjhab data repair "
+            f"{path}"
+        )
+
+
 def finish_change(path: Path) -> bool:
     """Complete or undo the last change of a killed writer; returns whether there was a journal.
 

@@ -122,72 +122,63 @@ def _lit(shadow, k, nodes, n, lamp_x, lamp_y, lamp_z):
 
 
 @color_inline
-def light_nodes(lamps, home, nodes, count):
-    """Compute the light on the first ``count`` nodes, see `NODE_ROW`: rows DR to SB from the rows X to OPEN.
+def _add_lamp(lamps, home, k, nodes, count, every):
+    """Add the light of lamp ``k`` to the rows DR to SB, diffuse and highlights. It uses the row LIT."""
+    zero = np.float32(0.0)
+    one = np.float32(1.0)
+    r = np.float32(lamps.color[home, k, 0])
+    g = np.float32(lamps.color[home, k, 1])
+    b = np.float32(lamps.color[home, k, 2])
+    if r + g + b == zero:
+        return
+    lamp_x = np.float32(lamps.pos[home, k, 0])
+    lamp_y = np.float32(lamps.pos[home, k, 1])
+    lamp_z = np.float32(lamps.pos[home, k, 2])
+    if lamps.shadow.shape[0] > 0:
+        for n in range(np.uint64(count)):
+            nodes[n + LIT] = _lit(lamps.shadow, k, nodes, n, lamp_x, lamp_y, lamp_z)
+    for n in every:
+        nx = nodes[n + NX]
+        ny = nodes[n + NY]
+        nz = nodes[n + NZ]
+        lx = lamp_x - nodes[n + X]
+        ly = lamp_y - nodes[n + Y]
+        lz = lamp_z - nodes[n + Z]
+        square = lx * lx + ly * ly + lz * lz
+        inv = one / np.sqrt(square + _TINY)
+        lx = lx * inv
+        ly = ly * inv
+        lz = lz * inv
+        facing = max(nx * lx + ny * ly + nz * lz, zero)
+        # 0 from LAMP_RANGE on.
+        fade = max(one - square * square * _FADE, zero)
+        power = _GAIN * facing * fade * nodes[n + LIT] / (_AT_LAMP + _FALL * square)
+        hx = lx + nodes[n + VX]
+        hy = ly + nodes[n + VY]
+        hz = lz + nodes[n + VZ]
+        h = (nx * hx + ny * hy + nz * hz) / np.sqrt(hx * hx + hy * hy + hz * hz + _TINY)
+        # Smaller cosines give no visible highlight, and their powers are denormal numbers, which are slow.
+        h2 = max(h * h, _FAINT)
+        h4 = h2 * h2
+        h16 = h4 * h4 * h4 * h4
+        h64 = h16 * h16 * h16 * h16
+        gloss = nodes[n + GLOSS]
+        shine = power * gloss * ((one - gloss) * h16 + (gloss + gloss) * h64)
+        shine = shine if gloss > _DULL else zero
+        nodes[n + DR] += r * power
+        nodes[n + DG] += g * power
+        nodes[n + DB] += b * power
+        nodes[n + SR] += r * shine
+        nodes[n + SG] += g * shine
+        nodes[n + SB] += b * shine
 
-    Every loop over nodes runs without branches and in float32, so that the compiler computes eight nodes at a time.
-    """
+
+@color_inline
+def _add_surroundings(nodes, every):
+    """Add the light of sky, ground and viewer; cavities take some of it, and of what lamps gave."""
     zero = np.float32(0.0)
     one = np.float32(1.0)
     half = np.float32(0.5)
-    # Whole vectors: a loop over the nodes that are left over would take as long as one over eight.
-    every = range(np.uint64((count + 7) // 8 * 8))
-    for n in every:
-        nodes[n + LIT] = one
-        nodes[n + DR] = zero
-        nodes[n + DG] = zero
-        nodes[n + DB] = zero
-        nodes[n + SR] = zero
-        nodes[n + SG] = zero
-        nodes[n + SB] = zero
-    for k in range(lamps.pos.shape[1]):
-        r = np.float32(lamps.color[home, k, 0])
-        g = np.float32(lamps.color[home, k, 1])
-        b = np.float32(lamps.color[home, k, 2])
-        if r + g + b == zero:
-            continue
-        lamp_x = np.float32(lamps.pos[home, k, 0])
-        lamp_y = np.float32(lamps.pos[home, k, 1])
-        lamp_z = np.float32(lamps.pos[home, k, 2])
-        if lamps.shadow.shape[0] > 0:
-            for n in range(np.uint64(count)):
-                nodes[n + LIT] = _lit(lamps.shadow, k, nodes, n, lamp_x, lamp_y, lamp_z)
-        for n in every:
-            nx = nodes[n + NX]
-            ny = nodes[n + NY]
-            nz = nodes[n + NZ]
-            lx = lamp_x - nodes[n + X]
-            ly = lamp_y - nodes[n + Y]
-            lz = lamp_z - nodes[n + Z]
-            square = lx * lx + ly * ly + lz * lz
-            inv = one / np.sqrt(square + _TINY)
-            lx = lx * inv
-            ly = ly * inv
-            lz = lz * inv
-            facing = max(nx * lx + ny * ly + nz * lz, zero)
-            # 0 from LAMP_RANGE on.
-            fade = max(one - square * square * _FADE, zero)
-            power = _GAIN * facing * fade * nodes[n + LIT] / (_AT_LAMP + _FALL * square)
-            hx = lx + nodes[n + VX]
-            hy = ly + nodes[n + VY]
-            hz = lz + nodes[n + VZ]
-            h = (nx * hx + ny * hy + nz * hz) / np.sqrt(
-                hx * hx + hy * hy + hz * hz + _TINY
-            )
-            # Smaller cosines give no visible highlight, and their powers are denormal numbers, which are slow.
-            h2 = max(h * h, _FAINT)
-            h4 = h2 * h2
-            h16 = h4 * h4 * h4 * h4
-            h64 = h16 * h16 * h16 * h16
-            gloss = nodes[n + GLOSS]
-            shine = power * gloss * ((one - gloss) * h16 + (gloss + gloss) * h64)
-            shine = shine if gloss > _DULL else zero
-            nodes[n + DR] += r * power
-            nodes[n + DG] += g * power
-            nodes[n + DB] += b * power
-            nodes[n + SR] += r * shine
-            nodes[n + SG] += g * shine
-            nodes[n + SB] += b * shine
     for n in every:
         nz = nodes[n + NZ]
         share = nodes[n + OPEN]
@@ -208,3 +199,26 @@ def light_nodes(lamps, home, nodes, count):
         nodes[n + SR] = nodes[n + SR] * share + rim * _SKY_R
         nodes[n + SG] = nodes[n + SG] * share + rim * _SKY_G
         nodes[n + SB] = nodes[n + SB] * share + rim * _SKY_B
+
+
+@color_inline
+def light_nodes(lamps, home, nodes, count):
+    """Compute the light on the first ``count`` nodes, see `NODE_ROW`: rows DR to SB from the rows X to OPEN.
+
+    Every loop over nodes runs without branches and in float32, so that the compiler computes eight nodes at a time.
+    """
+    zero = np.float32(0.0)
+    one = np.float32(1.0)
+    # Whole vectors: a loop over the nodes that are left over would take as long as one over eight.
+    every = range(np.uint64((count + 7) // 8 * 8))
+    for n in every:
+        nodes[n + LIT] = one
+        nodes[n + DR] = zero
+        nodes[n + DG] = zero
+        nodes[n + DB] = zero
+        nodes[n + SR] = zero
+        nodes[n + SG] = zero
+        nodes[n + SB] = zero
+    for k in range(lamps.pos.shape[1]):
+        _add_lamp(lamps, home, k, nodes, count, every)
+    _add_surroundings(nodes, every)

@@ -9,6 +9,7 @@ import numpy as np
 
 from mjhab.core.typed.checks import check
 from mjhab.render.jit import color_inline, kernel
+from mjhab.render.lanes import floor_of, whole_of
 from mjhab.render.patterns import pattern_tile
 from mjhab.scenes.formats.gltf import MAX_TEXTURE
 
@@ -177,35 +178,29 @@ def texels_around(x, y, start, wide, high):
     """The four texels around a point of a mip level, and where between them it lies; the texture repeats.
 
     Args:
-        x, y: the point [texels] from the middle of the first.
+        x, y: the point [texels] from the middle of the first, one f32 or `lanes.LANES` of them.
         start: index of the level's first texel.
         wide, high: log2 of the level's sides.
 
     Returns:
         Indices of the texels above left, above right, below left, below right; steps of 1/16 across and down, 0..1.
     """
-    left = np.floor(x)
-    above = np.floor(y)
-    i = np.int32(left)
-    j = np.int32(above)
+    left = floor_of(x)
+    above = floor_of(y)
+    i = whole_of(left)
+    j = whole_of(above)
     mask_x = np.int32((1 << wide) - 1)
     mask_y = np.int32((1 << high) - 1)
-    i0 = np.int32(i & mask_x)
-    i1 = np.int32(np.int32(i + 1) & mask_x)
-    j0 = np.int32(start + np.int32(np.int32(j & mask_y) << wide))
-    j1 = np.int32(start + np.int32(np.int32(np.int32(j + 1) & mask_y) << wide))
+    row = np.int32(1 << wide)
+    i0 = i & mask_x
+    i1 = (i + 1) & mask_x
+    j0 = (j & mask_y) * row + start
+    j1 = ((j + 1) & mask_y) * row + start
     steps = np.float32(16.0)
     step = np.float32(1.0 / 16.0)
-    across = np.floor((x - left) * steps) * step
-    down = np.floor((y - above) * steps) * step
-    return (
-        np.int32(j0 + i0),
-        np.int32(j0 + i1),
-        np.int32(j1 + i0),
-        np.int32(j1 + i1),
-        across,
-        down,
-    )
+    across = floor_of((x - left) * steps) * step
+    down = floor_of((y - above) * steps) * step
+    return j0 + i0, j0 + i1, j1 + i0, j1 + i1, across, down
 
 
 @color_inline

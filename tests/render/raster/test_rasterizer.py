@@ -280,6 +280,77 @@ def test_images_do_not_depend_on_threads(quality):
     assert runs[0]["rgb"].std() > 10 and len(np.unique(runs[0]["seg"])) == 4
 
 
+def test_cameras_of_few_worlds_are_shared_among_threads():
+    scene = crowded().build()
+    count = 5
+    eyes = np.array([[3.0, 0.5 * k, 1.0 + 0.2 * k] for k in range(count)])
+    mats = np.stack([look_at(eye, (0.0, 0.0, 0.8)) for eye in eyes])
+    images = []
+    for threads in (1, 4):
+        raster = Rasterizer(scene, threads)
+        images.append(
+            raster.render(
+                np.array([1, 0]),
+                np.zeros((2, 1, 3)),
+                np.tile(np.eye(3), (2, 1, 1, 1)),
+                Cameras(np.stack([eyes] * 2), np.stack([mats] * 2), FOVY, *SIZE),
+            )
+        )
+        raster.close()
+    for name, image in images[0].items():
+        np.testing.assert_array_equal(images[1][name], image)
+    rgb = images[0]["rgb"].reshape(2 * count, -1)
+    assert len(np.unique(rgb, axis=0)) == 2 * count
+
+
+def checked(side: int, cull: bool) -> dict[str, np.ndarray]:
+    """Outputs (H, W[, 3]) for a floor of 4 m x 4 m, red and blue, of 2 x side x side triangles, all of them drawn."""
+    number = np.arange((side + 1) ** 2).reshape(side + 1, side + 1)
+    corners = (number[:-1, :-1], number[:-1, 1:], number[1:, 1:], number[1:, :-1])
+    a, b, c, d = (part.ravel() for part in corners)
+    faces = np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)])
+    y, x = np.mgrid[-2 : 2 : (side + 1) * 1j, -2 : 2 : (side + 1) * 1j]
+    vertices = np.stack([x, y, 0.0 * x], -1).reshape(-1, 3).astype(np.float32)
+    red = vertices[faces, 0].mean(1) < 0.0
+    color = np.where(red[:, None], (0.9, 0.1, 0.1), (0.1, 0.1, 0.9)).astype(np.float32)
+    builder = SceneBuilder(1)
+    meshes = {"m": Mesh(vertices, faces.astype(np.int32), color)}
+    number = builder.add_geom_mesh(Geom("mesh", (1, 1, 1), mesh="m"), meshes)[0]
+    builder.add_world_instance(number, (0.0, 0.0, 0.0), seg="floor")
+    builder.add_light(0, Light((0.0, 0.0, 2.0)))
+    eye = np.array([0.3, -1.0, 1.5])
+    raster = Rasterizer(builder.build(), 1, cull)
+    images = raster.render(
+        np.zeros(1, int),
+        np.zeros((1, 1, 3)),
+        np.eye(3)[None, None],
+        Cameras(
+            eye[None, None],
+            look_at(eye, (0.1, 0.2, 0.0))[None, None],
+            FOVY,
+            *SIZE,
+            level_error=-1.0,
+        ),
+    )
+    return {name: image[0, 0] for name, image in images.items()}
+
+
+def test_faces_smaller_than_pixels_look_like_large_ones():
+    """Most faces cover no pixel, and more are seen than the table of faces holds."""
+    fine = checked(200, True)
+    for name, image in checked(200, False).items():
+        np.testing.assert_array_equal(fine[name], image)
+    large = checked(2, True)
+    assert (large["seg"] > 0).mean() > 0.5 and len(large["rgb"].reshape(-1, 3)) > 6000
+    assert (fine["seg"] == large["seg"]).mean() > 0.999
+    np.testing.assert_allclose(fine["depth"], large["depth"], rtol=1e-4, atol=0)
+    off = np.abs(fine["rgb"].astype(int) - large["rgb"]).max(-1)
+    # Light on a large face is interpolated between the pixels at which it is computed.
+    assert (off <= 2).mean() > 0.95 and np.median(off) <= 1
+    red, _, blue = large["rgb"][SIZE[1] // 2].astype(int).T
+    assert (red > 2 * blue).any() and (blue > 2 * red).any()
+
+
 def test_lamps_cast_shadows_only_in_nice_pictures():
     builder = SceneBuilder(1)
     builder.add_world_geom(Geom("box", (3.0, 3.0, 0.1), (0.0, 0.0, -0.1)), seg="floor")

@@ -105,6 +105,7 @@ class DrawingMemory(NamedTuple):
         order: (I,) i64, indices into ``in_sight``, front to back; buckets: (`ORDER_BUCKETS` + 1,) i64, for sorting.
         drawn: (I,) i32, level of detail drawn for each instance of the current image, by id.
         points: (6, V) f64, vertices of the current mesh in the view frame and projected.
+        cells: (V,) i32, between which columns and rows of pixel centres these lie, see `meshes._cell`.
         faces_inside, front: (F,) bool, (F + 1,) i32, back-face culling of the current mesh.
         polygon: (4, 3) f64, the current triangle, clipped at the near plane.
     """
@@ -123,6 +124,7 @@ class DrawingMemory(NamedTuple):
     buckets: np.ndarray
     drawn: np.ndarray
     points: np.ndarray
+    cells: np.ndarray
     faces_inside: np.ndarray
     front: np.ndarray
     polygon: np.ndarray
@@ -131,6 +133,7 @@ class DrawingMemory(NamedTuple):
 def make_scratch(geometry: Geometry, instances: int) -> DrawingMemory:
     """Allocate the scratch of one thread that draws ``geometry`` with this number of instances."""
     faces = int(geometry.mesh_faces[:, 1].max(initial=1))
+    vertices = int(geometry.mesh_verts[:, 1].max(initial=1))
     return DrawingMemory(
         rot=np.empty((instances, 3, 3)),
         pos=np.empty((instances, 3)),
@@ -145,7 +148,8 @@ def make_scratch(geometry: Geometry, instances: int) -> DrawingMemory:
         order=np.empty(instances, np.int64),
         buckets=np.empty(ORDER_BUCKETS + 1, np.int64),
         drawn=np.zeros(instances, np.int32),
-        points=np.empty((6, int(geometry.mesh_verts[:, 1].max(initial=1)))),
+        points=np.empty((6, vertices)),
+        cells=np.empty(vertices, np.int32),
         faces_inside=np.empty(faces, np.bool_),
         front=np.empty(faces + 1, np.int32),
         polygon=np.empty((4, 3)),

@@ -55,11 +55,12 @@ class ThreadBuffers(NamedTuple):
 
 
 @kernel
-def draw_worlds(scenery, views, turn, near, cull, cell, stride, buffers):
-    """Render all cameras of the worlds that no other thread takes, in the quality "fast".
+def draw_worlds(scenery, views, turn, together, near, cull, cell, stride, buffers):
+    """Render the cameras that no other thread takes, in the quality "fast".
 
-    ``turn`` (1,) i64: the first world that nobody has taken yet; the threads that render one picture share it, so that
-    none waits for another's slower worlds. ``near``: near plane [m]; ``cull``: drop back faces; ``cell``: side of a
+    ``turn`` (1,) i64: the first part of the work that nobody has taken yet; the threads that render one picture share
+    it, so that none waits for another's slower worlds. ``together``: a part is ``together`` cameras of a world, of
+    which it has a multiple. ``near``: near plane [m]; ``cull``: drop back faces; ``cell``: side of a
     cell of ambient occlusion [px]; ``stride``: distance between the pixels of a run at which light is computed [px].
     """
     inverse = buffers.inverse
@@ -67,16 +68,19 @@ def draw_worlds(scenery, views, turn, near, cull, cell, stride, buffers):
     poses = buffers.draw
     placing = scenery.placing
     height, width = inverse.shape
-    worlds = len(views.home)
+    cameras = views.cam_pos.shape[1]
+    parts = len(views.home) * cameras // together
     while True:
         # Numba passes the typing context itself.
-        world = take_next(turn)  # pyright: ignore[reportCallIssue]
-        if world >= worlds:
+        part = take_next(turn)  # pyright: ignore[reportCallIssue]
+        if part >= parts:
             return
+        world = part * together // cameras
+        first = part * together % cameras
         home = views.home[world]
         bodies = Bodies(views.body_pos[world], views.body_mat[world])
         place_balls(placing, home, bodies, poses)
-        for camera in range(views.cam_pos.shape[1]):
+        for camera in range(first, first + together):
             lens = Lens(
                 views.cam_pos[world, camera],
                 views.cam_mat[world, camera],

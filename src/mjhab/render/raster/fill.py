@@ -11,6 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from mjhab.render.jit import inline, kernel
+from mjhab.render.lanes import LANES, draw_lanes
 
 EDGE_SLACK = 1e-7
 """Pixel centres at most this far outside an edge count as inside, so that shared edges leave no holes."""
@@ -119,19 +120,19 @@ def _fill_rows(
 
 @inline
 def _fill_span(inverse, ids, tag, row, first, count, start, step):
-    """Fill ``count`` pixels of a row from column ``first``; inverse depth is ``start + step * k`` at the k-th.
-
-    Unsigned indices and float32 let the compiler vectorise the loop (eight pixels at a time).
-    """
-    if count <= 0:
-        return
-    for k in range(np.uint64(count)):
-        x = np.uint64(first) + k
-        w = start + step * np.float32(np.int32(k))
-        before = inverse[row, x]
-        # Stored in either case: masked vector stores are much slower.
-        inverse[row, x] = w if w > before else before
-        ids[row, x] = tag if w > before else ids[row, x]
+    """Fill ``count`` pixels of a row from column ``first``; inverse depth is ``start + step * k`` at the k-th."""
+    for done in range(0, count, LANES):
+        draw_lanes(
+            inverse,
+            ids,
+            np.uint64(row),
+            np.uint64(first + done),
+            tag,
+            start,
+            step,
+            np.int32(done),
+            np.int32(count),
+        )
 
 
 @inline

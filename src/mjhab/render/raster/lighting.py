@@ -33,7 +33,7 @@ DULL = 0.05
 """Surfaces up to this gloss have no highlights."""
 
 
-MOST_NODES = 1024
+MOST_NODES = 512
 """Most points at which light is computed together."""
 NODE_ROW = MOST_NODES + 16
 """Length of a row of ``nodes``, a flat f32 array with one number per node in each row. The rows are the point X, Y, Z

@@ -11,6 +11,12 @@ from mjhab.render.raster.fill import fill, fill_clipped
 PLANE_SLACK = 1e-5
 """Tolerance of back-face culling for the float32 planes of faces, relative to the camera's distance from the origin of
 the mesh: a camera this far behind a plane still counts as in front of it."""
+CELL_SLACK = 1e-6
+"""A vertex this near to the column or row of a pixel centre [px] has no cell there; more than `fill.EDGE_SLACK`."""
+_COLUMN = 0xFFFF
+_ROW = 0xFFFF << 16
+_NO_CELL = 0x8000
+"""Cells of columns and rows in one number: 15 bits of each, and a bit that tells that there is none."""
 
 
 @inline
@@ -129,6 +135,40 @@ def _project(geometry, mesh, k, lens, width, height, scratch):
         points[5, n] = w
 
 
+@inline
+def _cell(at, size):
+    """Number of pixel centres along an axis before the place ``at`` [px], 15 bits, and `_NO_CELL` if it is at one."""
+    place = min(max(at + 0.5, 0.0), size + 0.5)
+    before = np.int32(place - CELL_SLACK)
+    return before if before == np.int32(place + CELL_SLACK) else np.int32(_NO_CELL)
+
+
+@kernel
+def _drop_small(geometry, mesh, found, width, height, scratch):
+    """Keep of the first ``found`` faces in ``front`` those that may cover a pixel centre; returns their number.
+
+    A triangle covers none if all its vertices lie between the same two columns, or rows, of pixel centres.
+    """
+    cells = scratch.cells
+    points = scratch.points
+    for n in range(np.uint64(geometry.mesh_verts[mesh, 1])):
+        cells[n] = _cell(points[3, n], width) | (_cell(points[4, n], height) << 16)
+    faces = geometry.faces
+    front = scratch.front
+    start = np.uint64(geometry.mesh_faces[mesh, 0])
+    kept = np.uint64(0)
+    for n in range(np.uint64(found)):
+        number = front[n]
+        face = start + np.uint64(number)
+        a = cells[np.uint64(faces[face, 0])]
+        b = cells[np.uint64(faces[face, 1])]
+        c = cells[np.uint64(faces[face, 2])]
+        apart = (a ^ b) | (a ^ c) | ((a | b | c) & (_NO_CELL | _NO_CELL << 16))
+        front[kept] = number
+        kept += np.uint64(((apart & _COLUMN) != 0) & ((apart & _ROW) != 0))
+    return kept
+
+
 @kernel
 def draw_mesh(geometry, i, mesh, k, lens, cull, inverse, ids, scratch):
     """Project and rasterise the faces of instance ``i``, drawn as the level ``mesh`` with the map ``to_view[k]``."""
@@ -147,6 +187,8 @@ def draw_mesh(geometry, i, mesh, k, lens, cull, inverse, ids, scratch):
         return
     _project(geometry, mesh, k, lens, width, height, scratch)
     whole = scratch.nearest[k] > 0.0
+    if whole and cull and max(width, height) < _NO_CELL:
+        count = _drop_small(geometry, mesh, count, width, height, scratch)
     base = i << FACE_BITS
     for n in range(count):
         number = np.uint64(scratch.front[n]) if cull else n

@@ -12,7 +12,17 @@ from typing import NamedTuple
 import numpy as np
 
 from mjhab.render.jit import color_inline
-from mjhab.render.raster.arrays import FACE_BITS
+from mjhab.render.raster.faces import (
+    FLAT,
+    KIND,
+    PLAIN,
+    A,
+    B,
+    C,
+    D,
+    view_face,
+)
+from mjhab.render.raster.faces import GLOSS as FACE_GLOSS
 from mjhab.render.raster.lighting import (
     DB,
     DG,
@@ -21,6 +31,7 @@ from mjhab.render.raster.lighting import (
     GLOSS,
     LIT,
     MOST_NODES,
+    NODE_ROW,
     NX,
     NY,
     NZ,
@@ -37,7 +48,6 @@ from mjhab.render.raster.lighting import (
     Z,
 )
 from mjhab.render.raster.occlusion import BORDER
-from mjhab.render.raster.surfaces import fill_frame
 
 SHORT_RUN = 3
 """Runs up to this many samples have constant light, that of their middle."""
@@ -50,10 +60,11 @@ PIXEL_ROWS = 9
 DEPTH, LINE_R, LINE_G, LINE_B, ACROSS, DOWN, TEXEL_R, TEXEL_G, TEXEL_B = (
     np.uint64(row * PIXEL_ROW) for row in range(PIXEL_ROWS)
 )
-START, ROW, FACE, MATERIAL, NODE, INSTANCE, SLOT = range(7)
-"""Columns of ``runs``: first pixel of the stripe; row of the stripe; face, -1 for the background; material; first node;
-instance; first place among the textured pixels."""
-RUN_COLUMNS = 7
+RUN_ROW = MOST_NODES + 16
+RUN_ROWS = 5
+START, ROW, FACE, NODE, SLOT = (np.uint64(row * RUN_ROW) for row in range(RUN_ROWS))
+"""Rows of ``runs``, a flat i32 array: first pixel of the stripe; row of the stripe; face, see `faces.FaceViews`, -1 for
+the background; first node; first place among the textured pixels."""
 _SHARES = LIT, DR, DG, DB
 _DEPTHS = SR, SG, SB, VX
 """Rows of nodes that hold the four nearest cells of ambient occlusion before they get what they are named for."""
@@ -114,18 +125,18 @@ def find_runs(stripe, scratch):
         before = np.int32(-2)
         for p in range(np.uint64(first), np.uint64(first + stripe.span)):
             key = keys[p]
-            runs[count, START] = p
-            runs[count, ROW] = r
+            runs[count + START] = p
+            runs[count + ROW] = r
             count += np.uint64(key != before)
             before = key
-    runs[count, START] = stripe.rows * stripe.span
+    runs[count + START] = stripe.rows * stripe.span
     return np.int64(count)
 
 
 @color_inline
-def slope_down(lens, shape, stripe, row):
-    """Slope upwards of the rays of a row of the stripe."""
-    return (0.5 * shape[0] - (stripe.top + row) - 0.5) / lens.focal
+def slope_down(inv, shape, stripe, row):
+    """Slope upwards of the rays of a row of the stripe; ``inv`` is 1 / focal length [1/px]."""
+    return (0.5 * shape[0] - (stripe.top + row) - 0.5) * inv
 
 
 @color_inline
@@ -135,26 +146,21 @@ def column_shift(shape, stripe, row):
 
 
 @color_inline
-def _write_node(surface, scratch, i, face, u, v, depth, gloss, n):
+def _write_node(numbers, face, nodes, u, v, depth, n):
     """Write what is known of node ``n`` before `aim_nodes`: its ray (u, v) and depth [m], normal, gloss, sides."""
-    f = scratch.frames
-    e = surface.face_normal
-    x = (f[i, 0] + depth * (f[i, 3] * u + f[i, 4] * v - f[i, 5])) * f[i, 12]
-    y = (f[i, 1] + depth * (f[i, 6] * u + f[i, 7] * v - f[i, 8])) * f[i, 13]
-    z = (f[i, 2] + depth * (f[i, 9] * u + f[i, 10] * v - f[i, 11])) * f[i, 14]
-    # The factors of x, y and z are 0 on flat faces. Asking ``smooth`` costs more than these products.
-    nx = e[face, 0, 3] + e[face, 0, 0] * x + e[face, 0, 1] * y + e[face, 0, 2] * z
-    ny = e[face, 1, 3] + e[face, 1, 0] * x + e[face, 1, 1] * y + e[face, 1, 2] * z
-    nz = e[face, 2, 3] + e[face, 2, 0] * x + e[face, 2, 1] * y + e[face, 2, 2] * z
-    nodes = scratch.nodes
     nodes[n + X] = u
     nodes[n + Y] = v
     nodes[n + Z] = depth
-    nodes[n + NX] = f[i, 15] * nx + f[i, 16] * ny + f[i, 17] * nz
-    nodes[n + NY] = f[i, 18] * nx + f[i, 19] * ny + f[i, 20] * nz
-    nodes[n + NZ] = f[i, 21] * nx + f[i, 22] * ny + f[i, 23] * nz
-    nodes[n + GLOSS] = gloss
-    nodes[n + FACING] = _ZERO if surface.smooth[face] else _ONE
+    # The factors of the depth are 0 on flat faces. Asking for them costs more than these products.
+    for r in range(3):
+        at = np.uint64(r)
+        nodes[n + NX + np.uint64(r * NODE_ROW)] = numbers[face + A + at] + depth * (
+            numbers[face + B + at] * u
+            + numbers[face + C + at] * v
+            + numbers[face + D + at]
+        )
+    nodes[n + GLOSS] = numbers[face + FACE_GLOSS]
+    nodes[n + FACING] = numbers[face + FLAT]
 
 
 @color_inline
@@ -166,48 +172,47 @@ def place_nodes(surface, poses, home, looks, lens, shape, stripe, scratch, count
     """
     runs = scratch.runs
     pixels = scratch.pixels
+    views = scratch.faces
     inv = 1.0 / lens.focal
     nodes = np.uint64(0)
     textured = np.uint64(0)
     for run in range(np.uint64(count)):
-        start = runs[run, START]
+        start = np.int64(runs[run + START])
         key = scratch.keys[start]
         if key < 0:
-            runs[run, FACE] = -1
+            runs[run + FACE] = -1
             continue
-        i = np.uint64(key >> FACE_BITS)
-        face = np.uint64(
-            surface.mesh_start[np.uint64(poses.drawn[i])] + (key & ((1 << FACE_BITS) - 1))
-        )
-        fill_frame(poses, surface.extent, scratch, lens, i)
-        m = surface.instance_material[home, i]
-        if m < 0:
-            m = surface.face_material[face]
-        m = np.uint64(looks[np.uint64(m)])
-        row = runs[run, ROW]
-        runs[run, FACE] = face
-        runs[run, MATERIAL] = m
-        runs[run, NODE] = nodes
-        runs[run, INSTANCE] = i
-        scratch.textured[textured] = run
-        textured += np.uint64(surface.texture[m] >= 0)
-        v = slope_down(lens, shape, stripe, row)
+        row = np.int64(runs[run + ROW])
+        v = slope_down(inv, shape, stripe, row)
         shift = column_shift(shape, stripe, row)
-        gloss = surface.gloss[m]
-        last = runs[run + np.uint64(1), START] - 1
+        last = np.int64(runs[run + np.uint64(1) + START]) - 1
         at = start
         if last - start < SHORT_RUN:
             at = (start + last + 1) // 2
             last = at
+        depth = np.float64(pixels[np.uint64(at) + DEPTH])
+        u = (at + shift) * inv
+        face = view_face(surface, poses, home, looks, lens, scratch, key, u, v, depth)
+        runs[run + FACE] = face
+        runs[run + NODE] = nodes
+        scratch.textured[textured] = run
+        textured += np.uint64(views.numbers[face + KIND] != PLAIN)
         while True:
-            depth = pixels[np.uint64(at) + DEPTH]
             _write_node(
-                surface, scratch, i, face, (at + shift) * inv, v, depth, gloss, nodes
+                views.numbers,
+                face,
+                scratch.nodes,
+                np.float32(u),
+                np.float32(v),
+                np.float32(depth),
+                nodes,
             )
             nodes += np.uint64(1)
             if at == last:
                 break
             at = min(at + stride, last)
+            depth = np.float64(pixels[np.uint64(at) + DEPTH])
+            u = (at + shift) * inv
     return np.int64(nodes), np.int64(textured)
 
 

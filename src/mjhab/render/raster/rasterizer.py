@@ -16,6 +16,7 @@ from mjhab.core.errors import UsageError, unknown_name
 from mjhab.core.kernels.arrays import read_only
 from mjhab.core.machine import cores
 from mjhab.core.typed.checks import check, check_least, check_shape
+from mjhab.render.lanes import LANES, z_buffer
 from mjhab.render.raster.arrays import Bodies, Lens, make_scratch
 from mjhab.render.raster.batch import ThreadBuffers, ViewBatch, draw_worlds
 from mjhab.render.raster.kernels import draw, read_depth, read_segments
@@ -251,27 +252,36 @@ class Rasterizer:
             pass
 
     def _draw_fast(self, views: ViewBatch, height: int, width: int) -> None:
-        """Render all cameras of all worlds: the calling thread and those of the pool take one world after the other."""
+        """Render all cameras of all worlds: the calling thread and those of the pool take one world after the other.
+
+        Where threads are more than worlds, they take one camera after the other.
+        """
         turn = np.zeros(1, np.int64)
+        worlds, cameras = views.focal.shape
+        if not worlds * cameras:
+            return
+        together = cameras if worlds >= self.num_threads else 1
+        threads = min(self.num_threads, worlds * cameras // together)
         futures = []
         if self._pool is not None:
             futures = [
-                self._pool.submit(self._draw_worlds, views, turn, height, width)
-                for _ in range(min(self.num_threads, len(views.home)) - 1)
+                self._pool.submit(self._draw_parts, views, turn, together, height, width)
+                for _ in range(threads - 1)
             ]
-        self._draw_worlds(views, turn, height, width)
+        self._draw_parts(views, turn, together, height, width)
         for future in futures:
             future.result()
 
-    def _draw_worlds(
-        self, views: ViewBatch, turn: np.ndarray, height: int, width: int
+    def _draw_parts(
+        self, views: ViewBatch, turn: np.ndarray, together: int, height: int, width: int
     ) -> None:
-        """Render the worlds that this thread takes, see `draw_worlds`."""
+        """Render the parts of the work that this thread takes, see `draw_worlds`."""
         buffers = self._buffers(height, width, QUALITIES[FAST].cell)
         draw_worlds(
             self._scenery,
             views,
             turn,
+            together,
             NEAR,
             self.cull_backfaces,
             QUALITIES[FAST].cell,
@@ -343,12 +353,12 @@ class Rasterizer:
         key = (height, width, cell)
         if key not in kept:
             count = len(self.scene.instance_mesh)
-            flat = np.zeros(height * width + 1, np.float32)
+            flat = np.zeros(height * width + LANES, np.float32)
             kept[key] = ThreadBuffers(
                 make_scratch(self._scenery.geometry, count),
                 make_shade_scratch(count, width),
-                flat[:-1].reshape(height, width),
-                np.empty((height, width), np.int32),
+                flat[: height * width].reshape(height, width),
+                z_buffer((height, width), np.int32),
                 flat,
                 make_cells(-(-height // cell), -(-width // cell)),
             )
@@ -419,8 +429,9 @@ class Rasterizer:
         """Shadow maps (L, S, S) f32 of a home's lamps: static furniture from the cache, bodies drawn on top."""
         scene = self.scene
         home = shot.home
-        maps = np.zeros((scene.light_pos.shape[1], SHADOW_SIZE, SHADOW_SIZE), np.float32)
-        ids = np.empty((SHADOW_SIZE, SHADOW_SIZE), np.int32)
+        side = SHADOW_SIZE
+        maps = z_buffer((scene.light_pos.shape[1], side, side), np.float32)
+        ids = z_buffer((side, side), np.int32)
         focal = 0.5 * SHADOW_SIZE * SHADOW_SLOPE / np.sqrt(1.0 - SHADOW_SLOPE**2)
         for k, color in enumerate(scene.light_color[home]):
             if not color.any():
@@ -431,7 +442,7 @@ class Rasterizer:
             with self._lock:
                 still = self._shadows.get((home, k))
             if still is None:
-                still = np.zeros((SHADOW_SIZE, SHADOW_SIZE), np.float32)
+                still = z_buffer((side, side), np.float32)
                 self._draw_instances(below, STILL, still, ids, buffers)
                 with self._lock:
                     self._shadows[(home, k)] = still

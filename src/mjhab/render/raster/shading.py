@@ -12,7 +12,19 @@ from typing import NamedTuple
 import numpy as np
 
 from mjhab.render.jit import color_inline, color_kernel
+from mjhab.render.lanes import LANES, lanes_at, lanes_from, put_lanes
 from mjhab.render.patterns import SHADE_TOP
+from mjhab.render.raster.faces import (
+    COLOR,
+    KIND,
+    MOST_FACES,
+    OTHER,
+    PATTERN,
+    PLAIN,
+    FaceViews,
+    forget_faces,
+    make_face_views,
+)
 from mjhab.render.raster.lighting import (
     DB,
     DG,
@@ -30,12 +42,12 @@ from mjhab.render.raster.nodes import (
     LINE_B,
     LINE_G,
     LINE_R,
-    MATERIAL,
     NODE,
     PIXEL_ROW,
     PIXEL_ROWS,
     ROW,
-    RUN_COLUMNS,
+    RUN_ROW,
+    RUN_ROWS,
     SHORT_RUN,
     SLOT,
     START,
@@ -51,7 +63,6 @@ from mjhab.render.raster.texturing import (
     TEXEL_B,
     TEXEL_G,
     TEXEL_R,
-    VECTOR,
     read_textures,
 )
 from mjhab.scenes.shapes.colors import linear_to_srgb
@@ -74,7 +85,8 @@ class ShadeScratch(NamedTuple):
         total: (3, width) f32, sums of linear rgb over the samples of each pixel.
         frames: (I, 28) f64, see `surfaces.fill_frame`; entry i is valid if ``stamp[i] == stamp[-1]``.
         stamp: (I + 1,) i64, number of the image that ``frames`` was filled for; the last entry is the current image.
-        runs: (MOST_NODES + 1, RUN_COLUMNS) i64, see `nodes.START`.
+        faces: how the camera sees the faces of the image.
+        runs: i32, the runs of a stripe and the end of the last, see `nodes.START`.
         textured: (MOST_NODES + 1,) i64, the textured runs.
         keys: (PIXEL_ROW,) i32, ids of the pixels of a stripe, -1 for the background.
         cell_at: (2 * MOST_NODES,) i32, row and column of a cell of ambient occlusion at each node.
@@ -86,6 +98,7 @@ class ShadeScratch(NamedTuple):
     total: np.ndarray
     frames: np.ndarray
     stamp: np.ndarray
+    faces: FaceViews
     runs: np.ndarray
     textured: np.ndarray
     keys: np.ndarray
@@ -101,7 +114,8 @@ def make_shade_scratch(instances: int, width: int) -> ShadeScratch:
         np.empty((3, width), np.float32),
         np.empty((instances, 28)),
         np.zeros(instances + 1, np.int64),
-        np.empty((MOST_NODES + 1, RUN_COLUMNS), np.int64),
+        make_face_views(),
+        np.empty(RUN_ROWS * RUN_ROW, np.int32),
         np.empty(MOST_NODES + 1, np.int64),
         np.empty(PIXEL_ROW, np.int32),
         np.empty(2 * MOST_NODES, np.int32),
@@ -145,29 +159,29 @@ def _fill_plain(pixels, left, count, color, p, d):
     r1 = color[0] * d[0] + d[3]
     g1 = color[1] * d[1] + d[4]
     b1 = color[2] * d[2] + d[5]
-    for k in range(np.uint64(count)):
-        t = np.float32(np.int32(k))
-        pixels[left + k + LINE_R] = r0 + t * r1
-        pixels[left + k + LINE_G] = g0 + t * g1
-        pixels[left + k + LINE_B] = b0 + t * b1
+    for done in range(0, count, LANES):
+        at = left + np.uint64(done)
+        t = lanes_from(np.int32(done))
+        put_lanes(pixels, at + LINE_R, r0 + t * r1)
+        put_lanes(pixels, at + LINE_G, g0 + t * g1)
+        put_lanes(pixels, at + LINE_B, b0 + t * b1)
 
 
 @color_inline
-def _fill_pattern(pixels, left, count, slot, color, other, p, d):
-    """As `_fill_plain`, with colours between two and a shade that the texels from ``slot`` on give."""
-    r1 = other[0] - color[0]
-    g1 = other[1] - color[1]
-    b1 = other[2] - color[2]
-    for k in range(np.uint64(count)):
-        t = np.float32(np.int32(k))
-        mix = pixels[slot + k + TEXEL_R] * _BYTE
-        shade = pixels[slot + k + TEXEL_G] * _SHADE
-        r = shade * (color[0] + mix * r1)
-        g = shade * (color[1] + mix * g1)
-        b = shade * (color[2] + mix * b1)
-        pixels[left + k + LINE_R] = r * (p[0] + t * d[0]) + (p[3] + t * d[3])
-        pixels[left + k + LINE_G] = g * (p[1] + t * d[1]) + (p[4] + t * d[4])
-        pixels[left + k + LINE_B] = b * (p[2] + t * d[2]) + (p[5] + t * d[5])
+def _fill_pattern(pixels, left, count, slot, color, change, p, d):
+    """As `_fill_plain`, with a share of ``change`` added to the colour and a shade, as texels from ``slot`` on tell."""
+    for done in range(0, count, LANES):
+        at = left + np.uint64(done)
+        texel = slot + np.uint64(done)
+        t = lanes_from(np.int32(done))
+        mix = lanes_at(pixels, texel + TEXEL_R) * _BYTE
+        shade = lanes_at(pixels, texel + TEXEL_G) * _SHADE
+        r = shade * (color[0] + mix * change[0])
+        g = shade * (color[1] + mix * change[1])
+        b = shade * (color[2] + mix * change[2])
+        put_lanes(pixels, at + LINE_R, r * (p[0] + t * d[0]) + (p[3] + t * d[3]))
+        put_lanes(pixels, at + LINE_G, g * (p[1] + t * d[1]) + (p[4] + t * d[4]))
+        put_lanes(pixels, at + LINE_B, b * (p[2] + t * d[2]) + (p[5] + t * d[5]))
 
 
 @color_inline
@@ -180,52 +194,61 @@ def _linear(level):
 @color_inline
 def _fill_image(pixels, left, count, slot, color, p, d):
     """As `_fill_plain`, with a colour times that of the texels from ``slot`` on."""
-    for k in range(np.uint64(count)):
-        t = np.float32(np.int32(k))
-        r = color[0] * _linear(pixels[slot + k + TEXEL_R])
-        g = color[1] * _linear(pixels[slot + k + TEXEL_G])
-        b = color[2] * _linear(pixels[slot + k + TEXEL_B])
-        pixels[left + k + LINE_R] = r * (p[0] + t * d[0]) + (p[3] + t * d[3])
-        pixels[left + k + LINE_G] = g * (p[1] + t * d[1]) + (p[4] + t * d[4])
-        pixels[left + k + LINE_B] = b * (p[2] + t * d[2]) + (p[5] + t * d[5])
+    for done in range(0, count, LANES):
+        at = left + np.uint64(done)
+        texel = slot + np.uint64(done)
+        t = lanes_from(np.int32(done))
+        r = color[0] * _linear(lanes_at(pixels, texel + TEXEL_R))
+        g = color[1] * _linear(lanes_at(pixels, texel + TEXEL_G))
+        b = color[2] * _linear(lanes_at(pixels, texel + TEXEL_B))
+        put_lanes(pixels, at + LINE_R, r * (p[0] + t * d[0]) + (p[3] + t * d[3]))
+        put_lanes(pixels, at + LINE_G, g * (p[1] + t * d[1]) + (p[4] + t * d[4]))
+        put_lanes(pixels, at + LINE_B, b * (p[2] + t * d[2]) + (p[5] + t * d[5]))
 
 
 @color_inline
-def _fill_segment(surface, scratch, m, kind, left, count, slot, p, d):
-    """Write the colours of ``count`` pixels from ``left`` of the material ``m``: plain, of a pattern or an image."""
-    pixels = scratch.pixels
-    c = surface.color
-    color = (np.float32(c[m, 0]), np.float32(c[m, 1]), np.float32(c[m, 2]))
-    # Whole vectors: what lies beyond the end belongs to runs that follow, or is never read.
-    count = (count + VECTOR - 1) // VECTOR * VECTOR
-    if kind == 0:
+def _fill_segment(pixels, look, left, count, slot, p, d):
+    """Write the colours of ``count`` pixels from ``left`` of a face with the `_look`."""
+    kind, color, change = look
+    # Whole vectors are written: what lies beyond the end belongs to runs that follow, or is never read.
+    if kind == PLAIN:
         _fill_plain(pixels, left, count, color, p, d)
-    elif kind == 1:
-        c = surface.color2
-        other = (np.float32(c[m, 0]), np.float32(c[m, 1]), np.float32(c[m, 2]))
-        _fill_pattern(pixels, left, count, slot, color, other, p, d)
+    elif kind == PATTERN:
+        _fill_pattern(pixels, left, count, slot, color, change, p, d)
     else:
         _fill_image(pixels, left, count, slot, color, p, d)
 
 
 @color_inline
-def _fill_run(surface, scratch, run, start, stop, stride):
+def _triple(numbers, face, first):
+    """Three numbers of a face from the column ``first``, float32."""
+    return (
+        np.float32(numbers[face + first]),
+        np.float32(numbers[face + first + np.uint64(1)]),
+        np.float32(numbers[face + first + np.uint64(2)]),
+    )
+
+
+@color_inline
+def _fill_run(scratch, run, start, stop, stride):
     """Write the colours of a run, from the light of its nodes and from its texels."""
     runs = scratch.runs
     nodes = scratch.nodes
-    m = np.uint64(runs[run, MATERIAL])
-    n = np.uint64(runs[run, NODE])
-    slot = np.uint64(runs[run, SLOT])
-    kind = 0
-    if surface.texture[m] >= 0:
-        kind = 1 if surface.pattern[m] else 2
+    pixels = scratch.pixels
+    numbers = scratch.faces.numbers
+    face = np.uint64(runs[run + FACE])
+    n = np.uint64(runs[run + NODE])
+    slot = np.uint64(runs[run + SLOT])
+    look = (
+        numbers[face + KIND],
+        _triple(numbers, face, COLOR),
+        _triple(numbers, face, OTHER),
+    )
     p = _light_at(nodes, n)
     if stop - start <= SHORT_RUN:
         zero = np.float32(0.0)
         d = (zero, zero, zero, zero, zero, zero)
-        _fill_segment(
-            surface, scratch, m, kind, np.uint64(start), stop - start, slot, p, d
-        )
+        _fill_segment(pixels, look, np.uint64(start), stop - start, slot, p, d)
         return
     left = start
     while left < stop:
@@ -242,7 +265,7 @@ def _fill_run(surface, scratch, run, start, stop, stride):
             (q[4] - p[4]) * s,
             (q[5] - p[5]) * s,
         )
-        _fill_segment(surface, scratch, m, kind, np.uint64(left), end - left, slot, p, d)
+        _fill_segment(pixels, look, np.uint64(left), end - left, slot, p, d)
         slot += np.uint64(end - left)
         left = end
         p = q
@@ -254,7 +277,7 @@ def _fill_sky(lens, shape, stripe, scratch, row, start, stop):
     m = lens.mat
     pixels = scratch.pixels
     shift = column_shift(shape, stripe, row)
-    v = slope_down(lens, shape, stripe, row)
+    v = slope_down(1.0 / lens.focal, shape, stripe, row)
     for p in range(np.uint64(start), np.uint64(stop)):
         u = (np.float64(p) + shift) / lens.focal
         dz = (m[2, 0] * u + m[2, 1] * v - m[2, 2]) / np.sqrt(1.0 + u * u + v * v)
@@ -265,23 +288,25 @@ def _fill_sky(lens, shape, stripe, scratch, row, start, stop):
 
 
 @color_inline
-def _fill_runs(surface, lens, shape, stripe, scratch, count, stride):
+def _fill_runs(lens, shape, stripe, scratch, count, stride):
     """Write the colours of the first ``count`` runs, from left to right, because each may write beyond its end."""
     runs = scratch.runs
     for run in range(np.uint64(count)):
-        start = runs[run, START]
-        stop = runs[run + _NEXT, START]
-        if runs[run, FACE] < 0:
-            _fill_sky(lens, shape, stripe, scratch, runs[run, ROW], start, stop)
+        start = np.int64(runs[run + START])
+        stop = np.int64(runs[run + _NEXT + START])
+        if runs[run + FACE] < 0:
+            _fill_sky(
+                lens, shape, stripe, scratch, np.int64(runs[run + ROW]), start, stop
+            )
         else:
-            _fill_run(surface, scratch, run, start, stop, stride)
+            _fill_run(scratch, run, start, stop, stride)
 
 
 @color_inline
-def _store(pixels, total, s, stripe, row, tone, rgb):
+def _store(pixels, entries, total, s, stripe, row, tone, rgb):
     """Add a row of the stripe's samples to the sums of its pixels; after the last of a pixel, write tone-mapped rgb.
 
-    ``s`` is the number of samples per pixel side.
+    ``s`` is the number of samples per pixel side; ``entries`` is scratch for indices into ``tone``.
     """
     y = (stripe.top + row) // s
     part = (stripe.top + row) % s
@@ -291,11 +316,16 @@ def _store(pixels, total, s, stripe, row, tone, rgb):
     zero = np.float32(0.0)
     top = np.float32(tone.shape[0] - 1)
     if s == 1:
+        # Reading the table stands in a loop of its own, as with textures.
+        for c in range(3):
+            line = np.uint64(c * PIXEL_ROW)
+            for k in range(np.uint64(stripe.span)):
+                level = min(max(pixels[at + k + line + LINE_R] * scale, zero), top)
+                entries[k + line] = np.int32(level)
         for k in range(np.uint64(stripe.span)):
             for c in range(3):
-                light = pixels[at + k + np.uint64(c * PIXEL_ROW) + LINE_R] * scale
-                level = min(max(light, zero), top)
-                rgb[y, first + k, c] = tone[np.uint64(np.int32(level))]
+                entry = entries[k + np.uint64(c * PIXEL_ROW)]
+                rgb[y, first + k, c] = tone[np.uint64(entry)]
         return
     for c in range(3):
         for k in range(np.uint64(stripe.span // s)):
@@ -343,6 +373,7 @@ def shade(
     rows, columns = shape
     s = rows // rgb.shape[0]
     scratch.stamp[-1] += 1
+    forget_faces(scratch.faces)
     # A stripe has at most one node per pixel: some whole rows, or a part of a row in whole pixels of the output.
     height = max(MOST_NODES // columns, 1)
     width = min(columns, MOST_NODES // s * s)
@@ -351,6 +382,8 @@ def shade(
             stripe = Stripe(
                 top, min(height, rows - top), begin, min(width, columns - begin)
             )
+            if scratch.faces.count[0] > MOST_FACES - MOST_NODES:
+                forget_faces(scratch.faces)
             read_pixels(inverse, ids, stripe, scratch)
             runs = find_runs(stripe, scratch)
             nodes, textured = place_nodes(
@@ -359,6 +392,15 @@ def shade(
             aim_nodes(lens, shape, openness, scratch, nodes)
             light_nodes(lamps, home, scratch.nodes, nodes)
             read_textures(surface, lens, shape, stripe, scratch, textured, stride)
-            _fill_runs(surface, lens, shape, stripe, scratch, runs, stride)
+            _fill_runs(lens, shape, stripe, scratch, runs, stride)
             for row in range(stripe.rows):
-                _store(scratch.pixels, scratch.total, s, stripe, row, tone, rgb)
+                _store(
+                    scratch.pixels,
+                    scratch.texel_at,
+                    scratch.total,
+                    s,
+                    stripe,
+                    row,
+                    tone,
+                    rgb,
+                )

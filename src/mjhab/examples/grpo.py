@@ -156,7 +156,7 @@ def main(words: list[str] | None = None) -> list[float]:
         asked.groups * asked.tries,
     )
     seen, _ = env.reset()
-    numbers = seen["states"].shape[1], env.single_action_space.shape[0]
+    numbers = seen["states"].shape[1], len(env.env.controller.low)
     policy = ChunkTransformer(*numbers, asked.images)
     optimizer = torch.optim.Adam(policy.parameters(), 3e-4)
     means = []

@@ -8,7 +8,7 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -261,7 +261,8 @@ class ServedPolicy:
         external, wrist = (*robot.camera_names, "", "")[:2]
         # Policies of states alone have no images.
         head, hand = (obs.get(camera_key(camera, "rgb")) for camera in (external, wrist))
-        parts = split_state(self._env) if self._splits else None
+        # Environments that are recorded are those of the CPU.
+        parts = split_state(cast("Any", self._env)) if self._splits else None
         q = self._env.state.robot_q[w]
         if Conventions.of(vars(self._env.config)).joint_angles == WRAPPED:
             q = within_half_a_turn(q, robot.endless)

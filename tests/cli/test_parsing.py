@@ -124,7 +124,7 @@ def test_a_group_lists_its_commands(capsys: pytest.CaptureFixture[str]) -> None:
         (
             ["score", "--check", "r.json", "--check-seed", "4294967295"],
             "score check",
-            {"seed": 2**32 - 1},
+            {"env": {"seed": 2**32 - 1}},
         ),
         (["score", "--page", "x.md", "--table", "a", "b"], "score table", {}),
         (["score", "--starts", "--split", "val"], "score starts", {}),

@@ -223,6 +223,6 @@ def spec_of_run(config: Mapping[str, Any]) -> EvalSpec:
         episodes=1,
         films=0,
         style=tuple(config.get("style", ())),
-        instruction=config.get("instruction", ""),
+        instruction=config.get("instruction"),
         env=with_tuples(config.get("env", {})),
     )

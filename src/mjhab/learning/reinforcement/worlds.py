@@ -6,7 +6,7 @@ import math
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, cast
+from typing import Any
 
 import numpy as np
 import torch
@@ -14,11 +14,7 @@ from torch import Tensor
 
 from mjhab.core.errors import wrong_value
 from mjhab.core.seeding import stream
-from mjhab.envs.loop import TaskLoop
 from mjhab.learning.reinforcement.agent_encoder import AgentEncoder, AgentObs
-
-if TYPE_CHECKING:
-    from mjhab.envs.device.env import DeviceEnv
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,8 +74,8 @@ class Worlds:
     environment that resets by itself returns only ``info["final_obs"]``.
 
     Args:
-        env: environment of either backend. encoder: of the same environment. seed: of the first episodes.
-        rules: additional rules of training episodes; none if not given.
+        env: environment of either backend, a `TaskLoop` or what steps like one. encoder: of the same environment.
+        seed: of the first episodes. rules: additional rules of training episodes; none if not given.
 
     Raises:
         UsageError: the environment resets its worlds by itself.
@@ -87,7 +83,7 @@ class Worlds:
 
     def __init__(
         self,
-        env: TaskLoop,
+        env: Any,
         encoder: AgentEncoder,
         seed: int,
         rules: TrainingRules | None = None,
@@ -126,7 +122,7 @@ class Worlds:
 
     def _begin(self, seed: int) -> AgentObs:
         if not self._numpy:
-            cast("DeviceEnv", self.env).draw_starts(seed)
+            self.env.draw_starts(seed)
         obs, info = self.env.reset(seed=seed if self._numpy else None)
         every = ~self._none
         self._succeeded = self._none

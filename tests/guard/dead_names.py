@@ -22,7 +22,7 @@ EXCEPTIONS: dict[str, tuple[str, ...]] = {
     "Python, numba, io, gymnasium, OMPL, torch and Warp call them": (
         *("__getattr__", "__dir__", "on_start", "on_end", "checkMotion", "set_epoch"),
         *("readable", "writable", "seekable", "readinto", "allocate", "deallocate"),
-        *("_flatdim", "_flatten", "_flatten_space", "_unflatten"),
+        *("_flatdim", "_flatten", "_flatten_space", "_unflatten", "_LanesModel"),
     ),
     "adapters: vla-eval, LeRobot, stable-baselines3, rsl_rl and torchrl call them": (
         *("MjhabBenchmark", "MjhabEnvConfig", "create_envs", "configure_render"),

@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from mjhab.core.errors import UsageError
+from mjhab.core.files.outputs import PROBE
 from mjhab.core.files.run_folder import RunFolder
 from tests.refusals import refused
 
@@ -50,3 +51,8 @@ def test_one_process_writes(tmp_path: Path) -> None:
         Counted.open(tmp_path, CONFIG, resume=True)
     Counted.open(tmp_path, CONFIG, resume=True).close()
     assert [entry.name for entry in tmp_path.iterdir()] == ["config.json"]
+
+
+def test_what_another_process_tries_to_write_is_no_content(tmp_path: Path) -> None:
+    (tmp_path / f"{PROBE}x1").mkdir()
+    Counted.open(tmp_path, CONFIG).close()

@@ -15,6 +15,8 @@ from mjhab.core.files.reading import reason
 
 DISK_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
 """What the system says of a full or broken disk."""
+PROBE = ".mjhab-"
+"""How the names of folders begin that are made and deleted at once, to see whether that is possible."""
 
 
 @contextlib.contextmanager
@@ -115,7 +117,7 @@ def _probe(path: Path) -> None:
     longest = os.pathconf(above, "PC_NAME_MAX") if hasattr(os, "pathconf") else 255
     if any(len(os.fsencode(name)) > longest for name in new):
         raise OSError(errno.ENAMETOOLONG, os.strerror(errno.ENAMETOOLONG))
-    os.rmdir(tempfile.mkdtemp(prefix=".mjhab-", dir=above))
+    os.rmdir(tempfile.mkdtemp(prefix=PROBE, dir=above))
 
 
 def differences(before: Mapping[str, Any], now: Mapping[str, Any]) -> str:

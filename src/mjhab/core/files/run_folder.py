@@ -14,7 +14,7 @@ from typing import Any, ClassVar, Self
 from mjhab.core.errors import UsageError, wrong_value
 from mjhab.core.files.cache import write_json, write_text
 from mjhab.core.files.locking import WriteLock, lock_path, refuse_if_written
-from mjhab.core.files.outputs import check_output
+from mjhab.core.files.outputs import PROBE, check_output
 from mjhab.core.files.reading import read_json_object
 
 CONFIG = "config.json"
@@ -170,9 +170,10 @@ class RunFolder:
 
     @classmethod
     def _content(cls, path: Path) -> list[str]:
-        """Names of what lies in a folder, apart from the lock."""
+        """Names of what lies in a folder, apart from the lock, and from what another process tries to write there."""
         own = lock_path(path / cls.CONFIG_FILE).name
-        return sorted(entry.name for entry in path.iterdir() if entry.name != own)
+        names = sorted(entry.name for entry in path.iterdir())
+        return [name for name in names if name != own and not name.startswith(PROBE)]
 
     @classmethod
     def _check_content(

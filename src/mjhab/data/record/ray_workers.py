@@ -243,7 +243,6 @@ class RayPool:
         try:
             for folder, name, content in answer.files:
                 path = below(self._folders[number][folder], name)
-                path.parent.mkdir(parents=True, exist_ok=True)
                 write_atomic(
                     path, lambda file, content=content: file.write_bytes(content)
                 )

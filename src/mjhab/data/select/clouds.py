@@ -11,7 +11,6 @@ from mjhab.core.joints import BASE, BASE_XY, BASE_YAW
 from mjhab.core.seeding import stream
 from mjhab.data.store.reading import RecordedEpisode
 
-MAX_POINTS = 100_000
 _POSE = "obs/sensor_param/{}/cam2world_gl"
 _INTRINSIC = "obs/sensor_param/{}/intrinsic_cv"
 _M_PER_MM = 1e-3

@@ -77,7 +77,6 @@ class Panels:
         self._gui = server.gui
         self._on = on
         self._live = bool(policies)
-        self._scrubbing = False
         self._track: Track | None = None
         self._drawn: tuple[Any, ...] = ()
         self._images: dict[str, Any] = {}

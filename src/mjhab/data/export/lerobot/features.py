@@ -49,8 +49,7 @@ LANGUAGE = "language_persistent"
 """Wordings and skills as LeRobot 0.6 reads them; older versions cannot load a set that has it."""
 OWN = "own"
 RECORDED = "recorded"
-STATES = (OWN, RECORDED)
-"""What STATE holds: what the robot's own sensors tell, or all that was recorded, such as MS-HAB's 42 numbers."""
+"""What STATE holds: what the robot's own sensors tell (OWN), or all that was recorded, such as MS-HAB's 42 numbers."""
 FILM = "film"
 PNG = "png"
 COLOURS = (FILM, PNG)
@@ -64,7 +63,7 @@ class Choice:
     """Which parts of an episode to export: rgb images as videos, depth images and segmentation as columns, if recorded.
 
     until: end of the exported part, see `Until.parse`. colours: one of COLOURS. points: number of points of a cloud, 0
-    for none. state: one of STATES. actions: control mode that actions are converted to, "" for that of the recording.
+    for none. state: OWN or RECORDED. actions: control mode that actions are converted to, "" for that of the recording.
     language: whether there is LANGUAGE. held_out: homes whose episodes are the split "val".
     """
 

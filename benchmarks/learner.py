@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from statistics import median
 from typing import Any
 
@@ -16,6 +16,7 @@ from benchmarks.command import run_command
 from mjhab.cli.output import Listing, report
 from mjhab.core.errors import UsageError
 from mjhab.core.machine import cores
+from mjhab.learning.configs import FLOAT32
 from mjhab.learning.observation.spec import ObservationSpec, observation_spec_of
 from mjhab.learning.reinforcement.agent_encoder import AgentEncoder, AgentObs
 from mjhab.learning.reinforcement.configs import (
@@ -59,6 +60,8 @@ class LearnerSpec:
     """Threads of physics and networks; 0 takes all cores."""
     seed: int = 0
     """Seed of weights and actions."""
+    precision: str = FLOAT32
+    """Of PPO's network, see `NetworkConfig.precision`; of SAC it is always float32."""
     json: bool = False
     """Print one line of JSON instead of tables."""
 
@@ -92,12 +95,17 @@ def measure_ppo(spec: LearnerSpec) -> dict[str, Any]:
         "env_share", "learner_share": of the time of a rollout with its update.
     """
     config = reinforcement_preset(PPO, "fast")
+    network = replace(config.network, precision=spec.precision)
+    config = changed(config, {"network": network})
     if spec.worlds:
         config = changed(config, {"worlds": spec.worlds})
     assert config.ppo is not None
     worlds, layout, privileged = _worlds(config, spec.threads)
     agent = Ppo(config, layout, privileged, spec.seed)
-    learner = PpoLearner(agent, worlds, config, spec.seed)
+    threads = spec.threads or cores()
+    learner = PpoLearner(agent, worlds, config, spec.seed, threads=threads)
+    # In the first updates the critic learns alone.
+    learner.updates = config.ppo.critic_updates
     random = torch.Generator().manual_seed(spec.seed)
     steps = config.ppo.rollout_steps
     rows: list[tuple[float, float, float, float]] = []

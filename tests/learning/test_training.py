@@ -24,7 +24,10 @@ from mjhab.learning.checkpoint import (
     save_tensors,
 )
 from mjhab.learning.configs import (
+    BFLOAT16,
+    FLOAT32,
     HEADS,
+    PRECISIONS,
     PRESETS,
     DaggerConfig,
     InputConfig,
@@ -103,6 +106,29 @@ def test_every_student_learns_and_gives_chunks(algorithm: str) -> None:
     assert (student.draws == 0) == (
         algorithm in ("bc", "act", "gaussian", "gaussian_actions")
     )
+
+
+@pytest.mark.parametrize("algorithm", HEADS)
+def test_updates_in_bfloat16_learn_and_leave_weights_of_float32(algorithm: str) -> None:
+    data = demonstrations()
+    every = Batch.of(take_chunks(data, data.usable, 4))
+    losses = {}
+    for precision in PRECISIONS:
+        own = config(algorithm)
+        network = dataclasses.replace(own.network, precision=precision)
+        trainer = trainer_of(algorithm, network=network)
+        losses[precision] = [trainer.update(every).loss for _ in range(40)]
+        assert {p.dtype for p in trainer.student.parameters()} == {torch.float32}
+    exact, rounded = losses[FLOAT32], losses[BFLOAT16]
+    assert exact[0] != rounded[0] == pytest.approx(exact[0], rel=0.05)
+    assert rounded[-1] == pytest.approx(exact[-1], rel=0.3) and rounded[-1] < rounded[0]
+
+
+def test_an_unknown_precision_is_refused() -> None:
+    with refused("network.precision", "half", BFLOAT16):
+        with_changes(preset_of("bc"), ["network.precision=half"])
+    with refused("network.precision", BFLOAT16, FLOAT32):
+        with_changes(reinforcement_preset("sac", "fast"), ["network.precision=bfloat16"])
 
 
 def test_what_lies_behind_the_end_is_not_learned() -> None:

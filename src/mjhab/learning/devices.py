@@ -7,6 +7,7 @@ from torch import Tensor
 
 from mjhab.core.errors import unknown_name
 from mjhab.core.seeding import stream
+from mjhab.learning.configs import BFLOAT16
 
 CPU = "cpu"
 AUTO = "auto"
@@ -29,6 +30,12 @@ def training_device(name: str) -> torch.device:
     if full not in found:
         raise unknown_name("device", name, [CPU, AUTO, *found])
     return torch.device(full)
+
+
+def reduced(precision: str, device: torch.device) -> torch.autocast:
+    """A context in which networks compute in a precision of `NetworkConfig`; losses are float32 in any case."""
+    enabled = precision == BFLOAT16
+    return torch.autocast(device.type, dtype=torch.bfloat16, enabled=enabled)
 
 
 def generator(seed: int, name: str, number: int) -> torch.Generator:

@@ -13,7 +13,7 @@ import pytest
 import torch
 
 from mjhab.core.errors import UsageError
-from mjhab.learning.configs import preset_of
+from mjhab.learning.configs import BFLOAT16, preset_of
 from mjhab.learning.networks import Trunk
 from mjhab.learning.observation.spec import ObservationSpec
 from mjhab.learning.reinforcement.agent_encoder import AgentEncoder
@@ -103,6 +103,49 @@ def test_ppo_learns_the_toy(privileged: bool, state_std: bool) -> None:
         learner.normalize(rollout.seen)
     assert before < 0.65
     assert reward_of(agent.mean) > 0.8
+
+
+def test_actor_and_critic_learn_the_same_at_the_same_time() -> None:
+    changes = {"critic_updates": 1, "entropy_coefficient": 0.01, "clip_jointly": True}
+    config = changed(PPO_TOY, changes)
+    learned = []
+    for threads in (1, 2):
+        place, width = worlds(True)
+        agent = Ppo(config, LAYOUT, width, seed=0)
+        learner = PpoLearner(agent, place, config, seed=0, threads=threads)
+        told = [learner.update(learner.collect(), 0.0) for _ in range(3)]
+        learned.append((told, agent.state_dict()))
+    (told, one), (others, two) = learned
+    assert told == others and all(torch.equal(one[name], two[name]) for name in one)
+
+
+def test_a_critic_of_bfloat16_leaves_the_actor_its_digits() -> None:
+    network = dataclasses.replace(PPO_TOY.network, precision=BFLOAT16)
+    told = []
+    for own in (PPO_TOY, changed(PPO_TOY, {"network": network})):
+        place, width = worlds()
+        learner = PpoLearner(Ppo(own, LAYOUT, width, seed=0), place, own, seed=0)
+        rollout = learner.collect()
+        assert rollout.returns.dtype == torch.float32
+        told.append((rollout, learner.update(rollout, 0.0)))
+    (exact, losses), (rounded, others) = told
+    assert torch.equal(exact.actions, rounded.actions)
+    assert torch.equal(exact.log_probabilities, rounded.log_probabilities)
+    assert losses["value_loss"] != others["value_loss"]
+    assert others["value_loss"] == pytest.approx(losses["value_loss"], rel=0.05)
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_an_error_of_the_critic_ends_an_update(threads: int) -> None:
+    place, width = worlds()
+    agent = Ppo(PPO_TOY, LAYOUT, width, seed=0)
+    learner = PpoLearner(agent, place, PPO_TOY, seed=0, threads=threads)
+    rollout = learner.collect()
+    broken = dataclasses.replace(rollout, returns=rollout.returns * torch.nan)
+    before = [value.clone() for value in agent.parameters()]
+    with pytest.raises(BrokenLossError, match="the loss became nan in update 1"):
+        learner.update(broken, 0.0)
+    assert all(map(torch.equal, before, agent.parameters()))
 
 
 def test_ppo_imitates_demonstrations_first() -> None:

@@ -18,6 +18,7 @@ from mjhab.core.typed.bounds import Bound
 from mjhab.core.typed.checks import check, check_above, check_between, check_least
 from mjhab.learning.configs import (
     BC,
+    FLOAT32,
     GAUSSIAN,
     PAPER_LOG_STD,
     TEACHING,
@@ -259,6 +260,12 @@ class ReinforcementConfig:
             raise unknown_name("keep_best_by", self.keep_best_by, KEEP_BEST_BY)
         if (self.ppo is None) == (self.sac is None):
             raise UsageError("a ReinforcementConfig needs exactly one of ppo and sac.")
+        if self.sac is not None and self.network.precision != FLOAT32:
+            raise wrong_value(
+                "network.precision",
+                self.network.precision,
+                f"{FLOAT32} with sac and rlpd",
+            )
         if self.ppo is not None:
             if not self.ppo.critic_images and not self.privileged_critic:
                 raise wrong_value(

@@ -12,7 +12,7 @@ from torch import Tensor
 from mjhab.core.errors import MjhabError
 from mjhab.learning.checkpoint import part_of, prefixed
 from mjhab.learning.configs import OptimizerConfig
-from mjhab.learning.devices import generator
+from mjhab.learning.devices import generator, reduced
 from mjhab.learning.students.student import Batch, Student
 
 WEIGHTS = "weights"
@@ -68,7 +68,9 @@ class Trainer:
         config = self.config
         random = generator(self.seed, "update", self.step)
         self.student.train()
-        loss = self.student.loss(batch, random)
+        precision = self.student.config.network.precision
+        with reduced(precision, batch.actions.device):
+            loss = self.student.loss(batch, random)
         value = float(loss.detach())
         # Before the gradient is taken: nan would reach all weights.
         if not math.isfinite(value):

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor, wait
 from dataclasses import dataclass
 
 import torch
 from torch import Tensor, nn
 
 from mjhab.core.arithmetic.sums import ordered_sum
-from mjhab.learning.devices import generator
+from mjhab.learning.devices import generator, reduced
 from mjhab.learning.networks import Normalizer
 from mjhab.learning.reinforcement.agent_encoder import AgentObs
 from mjhab.learning.reinforcement.configs import ReinforcementConfig
@@ -62,6 +63,8 @@ class PpoLearner:
     Args:
         agent: on the device of the worlds. worlds: where the agent acts. config: of the whole run.
         seed: of this process. shown: demonstrations to imitate, if any.
+        threads: with more than one, an update computes the gradients of actor and critic at the same time. They share
+            no weights, so that the results have the same bits.
     """
 
     def __init__(
@@ -71,6 +74,7 @@ class PpoLearner:
         config: ReinforcementConfig,
         seed: int,
         shown: ReplayBuffer | None = None,
+        threads: int = 1,
     ) -> None:
         assert config.ppo is not None
         self.agent = agent
@@ -87,6 +91,7 @@ class PpoLearner:
             eps=self.config.adam_epsilon,
             fused=True,
         )
+        self._beside = ThreadPoolExecutor(1, "critic") if threads > 1 else None
         device = worlds.device
         seen = worlds.seen
         self.statistics = RunningStatistics(agent.actor.layout.width, device)
@@ -163,7 +168,12 @@ class PpoLearner:
         parts = [
             slice(start, start + VALUED_ROWS) for start in range(0, count, VALUED_ROWS)
         ]
-        return torch.cat([self.agent.value(seen.rows(part)) for part in parts])
+        return torch.cat([self._value(seen.rows(part)) for part in parts])
+
+    def _value(self, seen: AgentObs) -> Tensor:
+        """Values (B,) in float32, computed in the precision of the run."""
+        with reduced(self.run.network.precision, seen.vector.device):
+            return self.agent.value(seen).float()
 
     def _random(self, what: str) -> torch.Generator:
         # Named by the update, so that a resumed run draws as one that went on.
@@ -206,7 +216,9 @@ class PpoLearner:
         assert self.shown is not None
         batch = self.shown.draw(self.config.imitation_batch, random)
         # What lies outside is clipped when executed, so that the mean need not follow it.
-        error = self.agent.mean(batch.seen) - batch.actions.clamp(-1.0, 1.0)
+        with reduced(self.run.network.precision, batch.actions.device):
+            mean = self.agent.mean(batch.seen)
+        error = mean - batch.actions.clamp(-1.0, 1.0)
         return nn.functional.huber_loss(
             error, torch.zeros_like(error), delta=IMITATION_HUBER
         )
@@ -287,9 +299,48 @@ class PpoLearner:
 
         None: the divergence exceeds ``target_kl``, and nothing was changed.
         """
-        config = self.config
         agent = self.agent
         seen = rollout.seen.rows(rows)
+        # Before anything learns, in whichever thread.
+        self.optimizer.zero_grad(set_to_none=True)
+        critics = (seen, rollout.returns[rows])
+        valued = self._beside and self._beside.submit(self._learn_values, *critics)
+        try:
+            acted = self._learn_to_act(rollout, rows, seen, random)
+        finally:
+            # Nothing may be computing any more when an update ends, also by an error.
+            wait([valued] if valued else [])
+        if acted is None:
+            return None
+        value_loss = valued.result() if valued else self._learn_values(*critics)
+        parameters = list(agent.parameters())
+        distributed.average_gradients(parameters)
+        # The critic's gradients are larger, and under one joint limit they would scale the actor's down.
+        parts = (
+            [parameters]
+            if self.config.clip_jointly
+            else [list(agent.acting_parameters()), list(agent.value.parameters())]
+        )
+        for part in parts:
+            norm = nn.utils.clip_grad_norm_(part, self.config.clip_norm)
+            check_finite(float(norm), "the norm of the gradient", self.updates + 1)
+        self.optimizer.step()
+        policy_loss, divergence = acted
+        return policy_loss, value_loss, divergence
+
+    def _learn_to_act(
+        self, rollout: Rollout, rows: Tensor, seen: AgentObs, random: torch.Generator
+    ) -> tuple[float, float] | None:
+        """Add the gradient of the actor's losses: of the policy, of imitation and of entropy.
+
+        Returns:
+            The loss of the policy, and the KL divergence from the policy that acted; None if that is too large.
+
+        Raises:
+            BrokenLossError: a loss is not finite.
+        """
+        config = self.config
+        agent = self.agent
         encoded = (
             agent.encoded(seen) if rollout.encoded is None else rollout.encoded[rows]
         )
@@ -310,35 +361,35 @@ class PpoLearner:
         gains = (gains - mean) / (spread + 1e-8)
         clipped = ratio.clamp(1.0 - config.clip, 1.0 + config.clip)
         policy_loss = -torch.minimum(gains * ratio, gains * clipped).mean()
-        value_loss = 0.5 * ((agent.value(seen) - rollout.returns[rows]) ** 2).mean()
-        loss = config.value_coefficient * value_loss
+        losses: list[Tensor] = []
         # An untrained critic's advantages would spoil an actor that can act already.
         if self.updates >= config.critic_updates:
-            loss = loss + policy_loss
-        imitation = self._imitation_weight()
-        if imitation and self.updates >= config.critic_updates:
-            loss = loss + imitation * self._imitation_loss(random)
+            losses.append(policy_loss)
+            imitation = self._imitation_weight()
+            if imitation:
+                losses.append(imitation * self._imitation_loss(random))
         if config.entropy_coefficient:
             # The entropy of a normal distribution is its log std plus a constant.
-            loss = loss - config.entropy_coefficient * drawn.log_std.sum(dim=1).mean()
-        update = self.updates + 1
+            entropy = drawn.log_std.sum(dim=1).mean()
+            losses.append(-config.entropy_coefficient * entropy)
+        if losses:
+            self._add_gradient(torch.stack(losses).sum())
+        return float(policy_loss.detach()), float(divergence)
+
+    def _learn_values(self, seen: AgentObs, returns: Tensor) -> float:
+        """Add the gradient of the critic's loss, and return that loss.
+
+        Raises:
+            BrokenLossError: it is not finite.
+        """
+        loss = 0.5 * ((self._value(seen) - returns) ** 2).mean()
+        self._add_gradient(self.config.value_coefficient * loss)
+        return float(loss.detach())
+
+    def _add_gradient(self, loss: Tensor) -> None:
         # Before the gradient, so that the weights are still good.
-        check_finite(float(loss.detach()), "the loss", update)
-        self.optimizer.zero_grad(set_to_none=True)
+        check_finite(float(loss.detach()), "the loss", self.updates + 1)
         loss.backward()
-        parameters = list(agent.parameters())
-        distributed.average_gradients(parameters)
-        # The critic's gradients are larger, and under one joint limit they would scale the actor's down.
-        parts = (
-            [parameters]
-            if config.clip_jointly
-            else [list(agent.acting_parameters()), list(agent.value.parameters())]
-        )
-        for part in parts:
-            norm = nn.utils.clip_grad_norm_(part, config.clip_norm)
-            check_finite(float(norm), "the norm of the gradient", update)
-        self.optimizer.step()
-        return float(policy_loss.detach()), float(value_loss.detach()), float(divergence)
 
     def normalize(self, seen: AgentObs) -> None:
         """Update the running mean and std of the input normalizers, if the config normalizes inputs."""

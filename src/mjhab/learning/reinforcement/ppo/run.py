@@ -10,6 +10,7 @@ from torch import Tensor
 from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
 from mjhab.learning.checkpoint import part_of, prefixed, restoring
+from mjhab.learning.devices import CPU
 from mjhab.learning.reinforcement.algorithm import AlgorithmRun
 from mjhab.learning.reinforcement.keeping import optimizer_tensors, restore_optimizer
 from mjhab.learning.reinforcement.ppo.agent import Ppo
@@ -41,7 +42,13 @@ class PpoRun(AlgorithmRun):
         )
         averaged = cast("Student", self.average.module)
         self.actor = averaged if decay else agent.actor
-        self.learner = PpoLearner(agent, worlds, self.config, session.seed)
+        threads = session.spec.threads if worlds.device.type == CPU else 1
+        if threads > 1:
+            # Half of them for each of the two networks, which learn at the same time.
+            torch.set_num_threads(max(1, torch.get_num_threads() // 2))
+        self.learner = PpoLearner(
+            agent, worlds, self.config, session.seed, threads=threads
+        )
         if session.saved is not None:
             with restoring(session.training_file):
                 self._restore(session.saved.tensors)

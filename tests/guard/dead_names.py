@@ -1,8 +1,8 @@
 """Names of the package that nothing uses: ``python tests/guard/dead_names.py`` (vulture); ``make check`` runs it.
 
 Functions, classes, methods, properties and constants count; attributes and other variables do not, because those of
-MuJoCo's, Warp's and viser's objects are set all over. Tests do not count as users. What only a string names is used: the tables of
-commands, policies, packs and public names.
+MuJoCo's, Warp's and viser's objects are set all over. Tests do not count as users. What only a string names is used:
+the tables of commands, policies, packs and public names.
 """
 
 from __future__ import annotations

@@ -58,32 +58,45 @@ class FilmCrew:
     def shoot(
         self, env: SequentialTaskEnv, worlds: Sequence[int], info: Mapping[str, Any]
     ) -> list[np.ndarray]:
-        """Frames (n, height, width, 3) uint8 sRGB."""
-        return [
-            self._frame(env, world, str(info["instruction"][world])) for world in worlds
-        ]
-
-    def _frame(self, env: SequentialTaskEnv, world: int, sentence: str) -> np.ndarray:
+        """Frames (n, height, width, 3) uint8 sRGB; of several worlds they are drawn at the same time."""
         from mjhab.render.home_scene import is_sane
         from mjhab.render.pictures.captions import with_words
-        from mjhab.render.pictures.film_camera import FilmCamera
-        from mjhab.render.pictures.viewpoint import cameras_of
+        from mjhab.render.pictures.viewpoint import one_camera_each
 
         width, height = self._size
-        renderer = env.observer.renderer
+        frames = dict.fromkeys(worlds, np.zeros((height, width, 3), np.uint8))
         state = env.state
+        sane = is_sane(state.body_pos, state.body_mat)
         # A simulation that diverged has positions that cannot be drawn; the film goes on in black.
-        if not is_sane(state.body_pos[[world]], state.body_mat[[world]])[0]:
-            return np.zeros((height, width, 3), np.uint8)
+        drawn = [world for world in worlds if sane[world]]
+        if drawn:
+            shots = [self._follow(env, world) for world in drawn]
+            pictures = env.observer.renderer.pictures(
+                state,
+                drawn,
+                [env.homes[world] for world in drawn],
+                one_camera_each([shot.view for shot in shots], width, height),
+            )
+            for world, picture in zip(drawn, pictures[:, 0], strict=True):
+                sentence = str(info["instruction"][world])
+                frames[world] = with_words(picture, sentence, self._mark(world))
+        return list(frames.values())
+
+    def _follow(self, env: SequentialTaskEnv, world: int) -> Setup:
+        """Where the camera of a world stands now."""
+        from mjhab.render.pictures.film_camera import FilmCamera
+
         # Made with the first frame, because a run without films needs none.
         if self._camera is None:
-            self._camera = FilmCamera(renderer)
+            self._camera = FilmCamera(env.observer.renderer)
         shot = self._camera.follow(scene_of(env, world), self._last.get(world))
         self._last[world] = shot
         if shot.teleported:
             self._marked[world] = MARKED_FRAMES
+        return shot
+
+    def _mark(self, world: int) -> str:
+        """What marks the next frame of a world, "" for nothing."""
         left = self._marked.get(world, 0)
         self._marked[world] = left - 1
-        views = cameras_of([shot.view], width, height)
-        picture = renderer.picture(state, world, env.homes[world], views)[0]
-        return with_words(picture, sentence, TELEPORT if left > 0 else "")
+        return TELEPORT if left > 0 else ""

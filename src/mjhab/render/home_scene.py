@@ -198,12 +198,26 @@ class HomeRenderer:
         quality: QualityName = FILM,
     ) -> np.ndarray:
         """Colours (C, height, width, 3) uint8 sRGB of one world for people; zeros where its physics has diverged."""
-        pos, mat = state.body_pos[[world]], state.body_mat[[world]]
-        if not is_sane(pos, mat)[0]:
-            shape = (np.shape(cameras.pos)[1], cameras.height, cameras.width, 3)
+        return self.pictures(state, [world], [home], cameras, quality)[0]
+
+    def pictures(
+        self,
+        state: BodyPoses,
+        worlds: Sequence[int],
+        homes: Sequence[str],
+        cameras: Cameras,
+        quality: QualityName = FILM,
+    ) -> np.ndarray:
+        """Colours (W, C, height, width, 3) uint8 sRGB of some worlds for people, drawn at the same time.
+
+        Zeros where the physics of one of them has diverged.
+        """
+        pos, mat = state.body_pos[list(worlds)], state.body_mat[list(worlds)]
+        if not is_sane(pos, mat).all():
+            shape = (*np.shape(cameras.pos)[:2], cameras.height, cameras.width, 3)
             return np.zeros(shape, np.uint8)
-        index = self.home_numbers([home])
-        return self.render(index, pos, mat, cameras, ("rgb",), quality)["rgb"][0]
+        index = self.home_numbers(homes)
+        return self.render(index, pos, mat, cameras, ("rgb",), quality)["rgb"]
 
     def robot_views(
         self,

@@ -46,6 +46,15 @@ def cameras_of(views: Sequence[Viewpoint], width: int, height: int) -> Cameras:
     )
 
 
+def one_camera_each(views: Sequence[Viewpoint], width: int, height: int) -> Cameras:
+    """The cameras of as many worlds as viewpoints, one in each, with images of ``width`` x ``height`` [px]."""
+    one = cameras_of(views, width, height)
+    pos, mat, fovy = (
+        part.swapaxes(0, 1) for part in (one.pos, one.mat, np.asarray(one.fovy))
+    )
+    return Cameras(pos, mat, fovy, width, height)
+
+
 def plan_of(home: Home, width: int, height: int) -> Viewpoint:
     """A plan of a home: everything from straight above, verticals as points, without the ceiling.
 

@@ -16,7 +16,8 @@ from mjhab.learning.reinforcement import session as sessions
 from mjhab.learning.reinforcement.agent_encoder import AgentObs
 from mjhab.learning.reinforcement.configs import SAC, SacConfig, changed
 from mjhab.learning.reinforcement.ppo.agent import Ppo
-from mjhab.learning.reinforcement.ppo.learner import PpoLearner, Rollout
+from mjhab.learning.reinforcement.ppo.learner import PpoLearner
+from mjhab.learning.reinforcement.ppo.rollout import Rollout
 from mjhab.learning.reinforcement.worlds import Worlds
 from mjhab.learning.runs import distributed
 from tests.learning.reinforcement.test_runs import TINY, Killed, request

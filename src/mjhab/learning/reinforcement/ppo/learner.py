@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor, wait
-from dataclasses import dataclass
 
 import torch
 from torch import Tensor, nn
@@ -16,9 +15,9 @@ from mjhab.learning.reinforcement.agent_encoder import AgentObs
 from mjhab.learning.reinforcement.configs import ReinforcementConfig
 from mjhab.learning.reinforcement.finite import check_finite
 from mjhab.learning.reinforcement.ppo.agent import Ppo
+from mjhab.learning.reinforcement.ppo.rollout import Rollout, outcomes_of
 from mjhab.learning.reinforcement.replay import ReplayBuffer
 from mjhab.learning.reinforcement.returns import (
-    Outcomes,
     advantages,
     finite_horizon_advantages,
 )
@@ -35,26 +34,6 @@ IMITATION_HUBER = 0.5
 """Width of the quadratic part of the imitation loss [action units]."""
 NORMALIZED_ROWS = 8192
 """Demonstrated observations from which the inputs' mean and std are estimated."""
-VALUED_ROWS = 1024
-"""Batch size of the critic outside of updates; it bounds the memory that images take."""
-
-
-@dataclass(frozen=True, eq=False)
-class Rollout:
-    """T control steps of W worlds, flattened to N = T x W rows.
-
-    seen: observations. actions (N, A). log_probabilities (N,): of the actions under the policy that took them.
-    stds (N, A): standard deviations of that policy. advantages (N,). returns (N,): targets of the critic.
-    encoded (N, F): observations as the actor's encoder sees them, None if the encoder is trained.
-    """
-
-    seen: AgentObs
-    actions: Tensor
-    log_probabilities: Tensor
-    stds: Tensor
-    advantages: Tensor
-    returns: Tensor
-    encoded: Tensor | None = None
 
 
 class PpoLearner:
@@ -123,7 +102,7 @@ class PpoLearner:
                 transitions.append(self.worlds.step(action))
                 tell(transitions[-1])
         seen = AgentObs.join(rows)
-        outcomes = self._outcomes(seen, transitions)
+        outcomes = outcomes_of(self._value, seen, transitions)
         estimate = finite_horizon_advantages if self.config.finite_horizon else advantages
         gains = estimate(outcomes, self.config.gamma, self.config.gae_lambda)
         return Rollout(
@@ -135,40 +114,6 @@ class PpoLearner:
             (gains + outcomes.values).flatten(),
             torch.cat(encoded) if self.config.freeze_encoder else None,
         )
-
-    @torch.no_grad()
-    def _outcomes(self, seen: AgentObs, transitions: list[Transition]) -> Outcomes:
-        """Rewards, values and episode ends of the rollout.
-
-        The observation after a step is the one before the next step, except where an episode or the rollout ends:
-        only there the critic evaluates ``next_seen`` separately.
-        """
-        ended = torch.stack([t.ended for t in transitions])
-        is_last = ended.clone()
-        is_last[-1] = True
-        last = [
-            t.next_seen.rows(mask) for t, mask in zip(transitions, is_last, strict=True)
-        ]
-        values = self._values(seen).view(ended.shape)
-        next_values = torch.empty_like(values)
-        # Values are computed once for each observation, as the one after a step is the one before the next.
-        next_values[:-1] = values[1:]
-        next_values[is_last] = self._values(AgentObs.join(last))
-        return Outcomes(
-            torch.stack([t.reward for t in transitions]),
-            values,
-            next_values,
-            torch.stack([t.terminated for t in transitions]),
-            ended,
-        )
-
-    def _values(self, seen: AgentObs) -> Tensor:
-        """Values (N,) of N observations, computed in batches of VALUED_ROWS."""
-        count = len(seen.vector)
-        parts = [
-            slice(start, start + VALUED_ROWS) for start in range(0, count, VALUED_ROWS)
-        ]
-        return torch.cat([self._value(seen.rows(part)) for part in parts])
 
     def _value(self, seen: AgentObs) -> Tensor:
         """Values (B,) in float32, computed in the precision of the run."""

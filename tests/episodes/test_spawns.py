@@ -14,7 +14,7 @@ from mjhab.config.thresholds import task_config
 from mjhab.core.rotations import pose_inv, pose_mul, quat_from_yaw
 from mjhab.core.seeding import stream
 from mjhab.episodes.episode import Episode
-from mjhab.episodes.generator import BOWL_DRAWER, FRIDGE_DOOR, EpisodeMaker
+from mjhab.episodes.generator import EpisodeMaker
 from mjhab.episodes.rosters import roster
 from mjhab.episodes.spawns import (
     ARM_NOISE,
@@ -38,6 +38,7 @@ from mjhab.scenes.packs import open_pack
 from mjhab.sim.mujoco.cpu import CpuSimulator
 from mjhab.sim.mujoco.settle import hold_robot, parked_robot_qpos
 from mjhab.tasks.household.registry import chain
+from mjhab.tasks.household.set_table import BOWL_DRAWER, FRIDGE_DOOR
 from mjhab.tasks.plan import SubtaskKind
 
 

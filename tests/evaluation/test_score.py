@@ -22,7 +22,6 @@ from mjhab.evaluation.score.capabilities import CAPABILITIES, profile
 from mjhab.evaluation.score.check import check
 from mjhab.evaluation.score.leaderboard import leaderboard
 from mjhab.evaluation.score.manifest import (
-    DRAWER,
     ScoreRow,
     ScoreTrack,
     manifest,
@@ -41,11 +40,12 @@ from mjhab.evaluation.score.spec import ScoreSpec
 from mjhab.evaluation.score.summary import ScoredEpisode, summary_of
 from mjhab.rollout.records import SubtaskRecord
 from mjhab.rollout.store import read_records
+from mjhab.tasks.household.set_table import BOWL_DRAWER
 from tests.refusals import command, refused
 
 ALL_TRACKS = dict(manifests.TRACKS)
 ROWS = (
-    ScoreRow("set_table", "close", DRAWER, 2),
+    ScoreRow("set_table", "close", BOWL_DRAWER, 2),
     ScoreRow("tidy_house", "navigate", episodes=1),
 )
 

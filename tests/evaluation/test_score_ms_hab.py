@@ -18,7 +18,7 @@ from mjhab.evaluation.score import manifest as manifests
 from mjhab.evaluation.score.actions import StartKeeper
 from mjhab.evaluation.score.check import check
 from mjhab.evaluation.score.leaderboard import PUBLISHED_RESULTS, leaderboard
-from mjhab.evaluation.score.manifest import DRAWER, ScoreHomes, ScoreRow, manifest
+from mjhab.evaluation.score.manifest import ScoreHomes, ScoreRow, manifest
 from mjhab.evaluation.score.result import (
     ScoreResult,
     digest_of,
@@ -30,6 +30,7 @@ from mjhab.evaluation.score.spec import ScoreSpec
 from mjhab.evaluation.score.summary import summary_of
 from mjhab.rollout.loop import rollout
 from mjhab.scenes.pack_source import PackRequest
+from mjhab.tasks.household.set_table import BOWL_DRAWER
 from mjhab.tasks.signals import CHECKS, SIGNAL_CHECKS, Signals
 from mjhab.tasks.subtasks.registry import SUBTASKS
 from mjhab.tasks.success import succeeds_whatever_force
@@ -38,7 +39,7 @@ from tests.refusals import refused
 
 TRACK = manifests.TRACKS["ms_hab_7"]
 SEEDS = TRACK.seeds[:2]
-ROW = ScoreRow("set_table", "close", DRAWER, 1)
+ROW = ScoreRow("set_table", "close", BOWL_DRAWER, 1)
 STAND_IN = ScoreHomes("replica_cad", "stand-in")
 
 
@@ -106,7 +107,7 @@ def test_an_episode_goes_on_after_the_limit_on_the_force(limit: float) -> None:
     env = mjhab.make(
         task="set_table",
         subtask="close",
-        target=DRAWER,
+        target=BOWL_DRAWER,
         split="val",
         autoreset="disabled",
         threads=1,

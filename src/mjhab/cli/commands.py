@@ -97,6 +97,7 @@ COMMANDS: tuple[Command, ...] = (
         "demo",
         "a robot sets the table in four homes; films and a report",
         "policies.evaluate:run_demo",
+        "evaluation.specs:DemoSpec",
     ),
     Command(
         "eval",

@@ -35,9 +35,6 @@ from mjhab.sim.mujoco.cpu import CpuSimulator
 from mjhab.sim.mujoco.settle import settle
 from mjhab.tasks.household.registry import TASKS
 
-BOWL_DRAWER = "kitchen_counter/drawer3"
-FRIDGE_DOOR = "fridge/top_door"
-"""BOWL_DRAWER and FRIDGE_DOOR have the roles "kitchen_drawer" and "fridge_door" in the built-in pack and ReplicaCAD."""
 MAX_DRIFT = 0.02
 """A draw is rejected if an object moves farther than this [m] while it settles."""
 MAX_SPEED = 0.05

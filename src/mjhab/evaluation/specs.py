@@ -14,7 +14,7 @@ from mjhab.core.errors import missing_field, unknown_name, wrong_value
 from mjhab.core.typed.bounds import Bound, Output
 from mjhab.core.typed.checks import check
 from mjhab.core.typed.flags import Flag, OptionsOf
-from mjhab.core.typed.options import fitting, taken
+from mjhab.core.typed.options import fitting, take_options, taken
 from mjhab.evaluation.resolve import check_style, full_spec
 from mjhab.robots.registry import robot_named
 from mjhab.robots.robot import Robot
@@ -347,3 +347,18 @@ def named_policy(
         asked.subtask or None,
         asked.target or None,
     )
+
+
+@dataclass(frozen=True)
+class DemoSpec:
+    """Run a demonstration: the expert sets the table in four furnished homes; films and report go to runs/demo.
+
+    The same as `mjhab eval --task set_table --policy expert --episodes 4 --worlds 4 --seed 0 --films 4`, with smaller
+    films. The first run compiles for about a minute; then it takes half a minute on two cores.
+    """
+
+    out: Annotated[Path, Flag(metavar="FOLDER"), Output()] = Path("runs/demo")
+    """Folder of the results; results of an earlier run are replaced."""
+
+    def __post_init__(self) -> None:
+        take_options(self)

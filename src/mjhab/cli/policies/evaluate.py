@@ -5,20 +5,15 @@ from __future__ import annotations
 import time
 from collections import Counter
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass
-from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 from mjhab.cli.exits import INTERRUPTED, WITH_RESUME, stopped
 from mjhab.cli.output import Listing, report, tell_caution, tell_skipped
 from mjhab.cli.streams import with_way_on
 from mjhab.core.files.interrupts import sigterm_interrupts
 from mjhab.core.progress import say, work_bar
-from mjhab.core.typed.bounds import Output
-from mjhab.core.typed.flags import Flag
-from mjhab.core.typed.options import take_options
 from mjhab.evaluation.evaluate import EvaluationInterrupted, Run, run_evaluation
-from mjhab.evaluation.specs import SMALL_FILM, EvalSpec
+from mjhab.evaluation.specs import SMALL_FILM, DemoSpec, EvalSpec
 from mjhab.reports.metrics import SubtaskRow, rows_of
 from mjhab.reports.words import NOT_JUDGED, duration, newtons
 from mjhab.rollout.policy import RolloutEnv
@@ -45,21 +40,6 @@ def run_eval(spec: EvalSpec, json: bool) -> int:
     if interrupted:
         return INTERRUPTED
     return 1 if run.summary["errors"] else 0
-
-
-@dataclass(frozen=True)
-class DemoSpec:
-    """Run a demonstration: the expert sets the table in four furnished homes; films and report go to runs/demo.
-
-    The same as `mjhab eval --task set_table --policy expert --episodes 4 --worlds 4 --seed 0 --films 4`. The first run
-    compiles for about a minute; then it takes two minutes on two cores.
-    """
-
-    out: Annotated[Path, Flag(metavar="FOLDER"), Output()] = Path("runs/demo")
-    """Folder of the results; results of an earlier run are replaced."""
-
-    def __post_init__(self) -> None:
-        take_options(self)
 
 
 def run_demo(spec: DemoSpec, json: bool) -> int:

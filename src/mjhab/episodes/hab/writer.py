@@ -6,7 +6,6 @@ import numpy as np
 
 from mjhab.core.names import copy_name
 from mjhab.episodes.episode import Episode
-from mjhab.episodes.generator import FRIDGE_DOOR
 from mjhab.episodes.hab.format import (
     OBJECT_SUFFIX,
     SCENE_SUFFIX,
@@ -19,6 +18,7 @@ from mjhab.episodes.hab.reader import FIXED_LINKS, PREFIX, link_names, receptacl
 from mjhab.layout.layout import Layout
 from mjhab.layout.receptacles import PlacedReceptacle, placed_receptacles
 from mjhab.scenes.spec import Home
+from mjhab.tasks.household.set_table import FRIDGE_DOOR
 
 _REPLICA_CAD = "replica_cad"
 _MARKERS = {

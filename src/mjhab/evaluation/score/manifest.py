@@ -19,6 +19,7 @@ from mjhab.evaluation.resolve import Wanted
 from mjhab.robots.registry import DEFAULT_ROBOT, ROBOTS
 from mjhab.scenes.pack_source import Assets, pack_request
 from mjhab.scenes.packs import open_pack
+from mjhab.tasks.household.set_table import BOWL_DRAWER, FRIDGE_DOOR
 
 HAB_TASKS = ("tidy_house", "prepare_groceries", "set_table")
 """The scored tasks. The list is fixed, so that plugins do not change a score."""
@@ -49,10 +50,6 @@ class ScoreRow(Wanted):
         return ".".join(word for word in words if word)
 
 
-FRIDGE = "fridge/top_door"
-DRAWER = "kitchen_counter/drawer3"
-
-
 @dataclass(frozen=True)
 class ScoreTrack:
     """What a score is made of.
@@ -78,10 +75,10 @@ TRACKS: dict[str, ScoreTrack] = {
             ScoreRow("prepare_groceries", "place"),
             ScoreRow("set_table", "pick"),
             ScoreRow("set_table", "place"),
-            ScoreRow("set_table", "open", FRIDGE),
-            ScoreRow("set_table", "open", DRAWER),
-            ScoreRow("set_table", "close", FRIDGE),
-            ScoreRow("set_table", "close", DRAWER),
+            ScoreRow("set_table", "open", FRIDGE_DOOR),
+            ScoreRow("set_table", "open", BOWL_DRAWER),
+            ScoreRow("set_table", "close", FRIDGE_DOOR),
+            ScoreRow("set_table", "close", BOWL_DRAWER),
         )
     ),
     "chains": ScoreTrack(
@@ -95,9 +92,9 @@ TRACKS: dict[str, ScoreTrack] = {
                 ("pick", "024_bowl"),
                 ("place", "013_apple"),
                 ("place", "024_bowl"),
-                ("open", FRIDGE),
-                ("open", DRAWER),
-                ("close", DRAWER),
+                ("open", FRIDGE_DOOR),
+                ("open", BOWL_DRAWER),
+                ("close", BOWL_DRAWER),
             )
         ),
         split="val",

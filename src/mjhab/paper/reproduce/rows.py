@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from mjhab.episodes.generator import BOWL_DRAWER, FRIDGE_DOOR
-from mjhab.episodes.rosters import roster
 from mjhab.tasks.household.registry import TASKS
+from mjhab.tasks.household.set_table import BOWL_DRAWER, FRIDGE_DOOR
 from mjhab.tasks.subtasks.registry import SUBTASKS
 
 STUDENTS = "students"
@@ -71,6 +70,8 @@ def policy_targets(row: TableRow, column: str) -> tuple[str, ...]:
     """Targets of the policies of a row, one each: an object type, a link, or FOR_ALL."""
     if column != RL_PER or SUBTASKS[row.subtask].jointed:
         return (row.target,)
+    from mjhab.episodes.rosters import roster  # loads scipy
+
     return TASKS[row.task].object_types or tuple(sorted(set(roster(row.task))))
 
 

@@ -7,6 +7,9 @@ from __future__ import annotations
 
 from mjhab.tasks.household.spec import TargetRule, TaskSpec
 
+BOWL_DRAWER = "kitchen_counter/drawer3"
+FRIDGE_DOOR = "fridge/top_door"
+"""Links with the roles "kitchen_drawer" and "fridge_door", in the built-in pack and in ReplicaCAD."""
 SET_TABLE = TaskSpec(
     name="set_table",
     words=("set the table", "lay the table"),

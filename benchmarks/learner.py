@@ -62,6 +62,8 @@ class LearnerSpec:
     """Seed of weights and actions."""
     precision: str = FLOAT32
     """Of PPO's network, see `NetworkConfig.precision`; of SAC it is always float32."""
+    in_turn: bool = False
+    """Let PPO's critic learn after its actor, and not at the same time."""
     json: bool = False
     """Print one line of JSON instead of tables."""
 
@@ -102,7 +104,7 @@ def measure_ppo(spec: LearnerSpec) -> dict[str, Any]:
     assert config.ppo is not None
     worlds, layout, privileged = _worlds(config, spec.threads)
     agent = Ppo(config, layout, privileged, spec.seed)
-    threads = spec.threads or cores()
+    threads = 1 if spec.in_turn else spec.threads or cores()
     learner = PpoLearner(agent, worlds, config, spec.seed, threads=threads)
     # In the first updates the critic learns alone.
     learner.updates = config.ppo.critic_updates

@@ -144,8 +144,8 @@ class NetworkConfig:
     precision: str = field(default=FLOAT32, compare=False)
     """Of the products of matrices and the convolutions of an update, one of PRECISIONS; weights, and whatever acts, are
     float32. bfloat16 keeps 8 of 24 binary digits of every factor, and processors that have it (AVX512-BF16, AMX) take
-    about 0.6 of the time. With PPO it is for the critic and for imitation: the likelihoods of actions, whose ratios the
-    actor learns from, need all digits. Not for SAC and RLPD."""
+    about two thirds of the time. With PPO it is for the critic and for imitation: the likelihoods of actions, whose
+    ratios the actor learns from, need all digits. Not for SAC and RLPD."""
 
     def __post_init__(self) -> None:
         if len(self.log_std) != 2 or not self.log_std[0] < self.log_std[1]:

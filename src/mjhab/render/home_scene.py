@@ -210,7 +210,7 @@ class HomeRenderer:
     ) -> np.ndarray:
         """Colours (W, C, height, width, 3) uint8 sRGB of some worlds for people, drawn at the same time.
 
-        Zeros where the physics of one of them has diverged.
+        All are zero if the physics of one of them has diverged.
         """
         pos, mat = state.body_pos[list(worlds)], state.body_mat[list(worlds)]
         if not is_sane(pos, mat).all():

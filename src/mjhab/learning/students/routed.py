@@ -34,8 +34,7 @@ class RoutedTrunk(nn.Module):
     features are those of the one that acts, in its own columns, so that the linear layer behind is one for each.
 
     Raises:
-        UsageError: the student reads no sentence, has a one-hot condition beside it, or experts with more images than
-            others.
+        UsageError: the student reads no sentence, or has a one-hot condition beside it.
     """
 
     def __init__(self, config: StudentConfig, layout: ObservationSpec) -> None:
@@ -77,10 +76,9 @@ class RoutedTrunk(nn.Module):
                     for channel in _span(widths, every.index(key), step)
                 ]
             )
-        if len({self._expert(n).encoder.width for n in range(len(self.experts))}) > 1:
-            raise wrong_value(
-                "network.experts", config.network.experts, "of as many images each"
-            )
+        self._seen_width = max(
+            self._expert(number).encoder.width for number in range(len(self.experts))
+        )
         self.layers = _ExpertLayers(self.experts)
         self.width = len(self.experts) * (1 + self._expert(0).width)
 
@@ -104,13 +102,14 @@ class RoutedTrunk(nn.Module):
         seen = torch.cat([steps, told[:, None].expand(-1, self.history, -1)], dim=2)
         acting = torch.tensor(self.routes, device=vector.device)[route]
         chosen = nn.functional.one_hot(acting, len(self.experts)).to(vector.dtype)
-        width = self._expert(0).encoder.width
 
         def of(number: int) -> Tensor:
             mine = images[:, self._channels[number]]
-            return self._expert(number).encoded(seen.flatten(1), mine)
+            found = self._expert(number).encoded(seen.flatten(1), mine)
+            # An expert of fewer images than another has zeros behind what it sees.
+            return nn.functional.pad(found, (0, self._seen_width - found.shape[1]))
 
-        return _by_expert(chosen, width, of)
+        return _by_expert(chosen, self._seen_width, of)
 
     def forward(self, vector: Tensor, images: Tensor) -> Tensor:
         return self.layers(self.encoded(vector, images))
@@ -134,9 +133,12 @@ class _ExpertLayers(nn.Module):
         experts = [cast("Trunk", expert) for expert in self._experts[0]]
         count = len(experts)
         chosen, seen = encoded[:, :count], encoded[:, count:]
-        features = _by_expert(
-            chosen, experts[0].width, lambda number: experts[number].layers(seen)
-        )
+
+        def of(number: int) -> Tensor:
+            expert = experts[number]
+            return expert.layers(seen[:, : expert.encoder.width])
+
+        features = _by_expert(chosen, experts[0].width, of)
         # A constant 1 of the acting expert, by which the joined head switches its bias.
         own = torch.cat([torch.ones_like(seen[:, :1]), features[:, count:]], dim=1)
         return (chosen[:, :, None] * own[:, None]).flatten(1)

@@ -12,6 +12,7 @@ import torch
 
 from mjhab.core.errors import UsageError
 from mjhab.learning.assigned.join import KnownRequest, join, joined
+from mjhab.learning.assigned.members import Member, member_for
 from mjhab.learning.assigned.spec import PolicyJoinSpec
 from mjhab.learning.checkpoint import load_student, save_student
 from mjhab.learning.configs import ACT, InputConfig, NetworkConfig
@@ -53,11 +54,15 @@ def _member(seed: int, inputs: InputConfig) -> BehaviourCloning:
     return made.eval().requires_grad_(False)
 
 
+def _joined(*members: BehaviourCloning) -> BehaviourCloning:
+    return joined([Member(member) for member in members], _routes())
+
+
 def _routes() -> list[KnownRequest]:
     drawer, bowl = "kitchen_counter/drawer3", "024_bowl"
     asked = (("pick", bowl, 0), ("open", drawer, 1), ("close", drawer, 1))
     return [
-        KnownRequest(Scene(subtask=subtask, target=target), target, member, said)
+        KnownRequest(Scene(subtask=subtask, target=target), target, said, member)
         for (subtask, target, member), said in zip(asked, SAID, strict=True)
     ]
 
@@ -78,7 +83,7 @@ def _acts(student: Student, vector: np.ndarray, images: np.ndarray) -> np.ndarra
 
 def test_the_joined_student_does_on_each_route_what_its_member_does() -> None:
     members = [_member(1, FOVEAL), _member(2, WHOLE)]
-    one = joined(members, _routes())
+    one = _joined(*members)
     _fitted(one)
     random = np.random.default_rng(0)
     seen = {
@@ -100,8 +105,60 @@ def test_the_joined_student_does_on_each_route_what_its_member_does() -> None:
             assert np.abs(done - wanted).max() < 1e-5
 
 
+def test_more_views_change_nothing_until_they_are_learned_from() -> None:
+    members = [_member(1, FOVEAL), _member(2, WHOLE)]
+    before = _joined(*members)
+    more = joined([Member(member) for member in members], _routes(), "both")
+    random = np.random.default_rng(0)
+    images = random.integers(0, 256, (WORLDS, 2, SIZE, SIZE), np.uint8)
+    measured = random.normal(size=(WORLDS, before.layout.measured_width))
+    for student in (before, more):
+        _fitted(student).requires_grad_(True)
+    for said in SAID:
+        told = np.hstack([measured, np.tile(encode_sentence(said[0]), (WORLDS, 1))])
+        wanted = _acts(before, told, images)
+        assert np.abs(_acts(more, told, images) - wanted).max() < 1e-5
+    trunk = more.trunk
+    assert isinstance(trunk, RoutedTrunk)
+    state = trunk.state_dict()
+    # What is new to a member begins as what another has learned of it.
+    for name in [
+        name for name in state if name.startswith("experts.0.encoder.encoders.0")
+    ]:
+        assert torch.equal(state[name], state[name.replace("experts.0", "experts.1")])
+    more.chunk_of(
+        trunk(torch.tensor(told).float(), torch.tensor(images))
+    ).sum().backward()
+    new = dict(trunk.named_parameters())["experts.1.layers.0.weight"]
+    assert new.grad is not None
+    assert new.grad.any(dim=0)[: 2 * more.config.network.image_features].all()
+    with pytest.raises(UsageError, match="views"):
+        joined([Member(member) for member in members], _routes(), "target")
+
+
+def test_a_network_of_a_joined_policy_can_be_exchanged() -> None:
+    old = _joined(_member(1, FOVEAL), _member(2, WHOLE))
+    new = _joined(_member(3, FOVEAL), _member(4, WHOLE))
+    for student in (old, new):
+        _fitted(student)
+        # Training moves the shared bias as well.
+        student.head.bias.data += 0.1
+    picked, drawer = _routes()[0], _routes()[1:]
+    members = [member_for(new, picked), member_for(old, drawer[0])]
+    assert member_for(old, drawer[1]) == members[1]
+    mixed = joined(members, _routes())
+    _fitted(mixed)
+    random = np.random.default_rng(0)
+    images = random.integers(0, 256, (WORLDS, 2, SIZE, SIZE), np.uint8)
+    measured = random.normal(size=(WORLDS, old.layout.measured_width))
+    for said, source in zip(SAID, (new, old, old), strict=True):
+        told = np.hstack([measured, np.tile(encode_sentence(said[0]), (WORLDS, 1))])
+        wanted = _acts(source, told, images)
+        assert np.abs(_acts(mixed, told, images) - wanted).max() < 1e-5
+
+
 def test_what_one_world_is_asked_changes_no_bit_of_what_another_does() -> None:
-    one = joined([_member(1, WHOLE), _member(2, WHOLE)], _routes())
+    one = _joined(_member(1, WHOLE), _member(2, WHOLE))
     _fitted(one)
     random = np.random.default_rng(0)
     images = random.integers(0, 256, (WORLDS, 1, SIZE, SIZE), np.uint8)
@@ -116,7 +173,7 @@ def test_what_one_world_is_asked_changes_no_bit_of_what_another_does() -> None:
 
 
 def test_a_gate_understands_sentences_with_new_words() -> None:
-    trunk = _fitted(joined([_member(1, WHOLE), _member(2, WHOLE)], _routes()))
+    trunk = _fitted(_joined(_member(1, WHOLE), _member(2, WHOLE)))
     for number, told in enumerate(
         (
             "would you kindly take that bowl",
@@ -214,7 +271,7 @@ def test_a_routed_network_is_not_trained_from_nothing() -> None:
 
 
 def test_ppo_goes_on_from_a_joined_student_and_freezes_no_part_of_it() -> None:
-    one = joined([_member(1, WHOLE), _member(2, WHOLE)], _routes())
+    one = _joined(_member(1, WHOLE), _member(2, WHOLE))
     _fitted(one)
     one.requires_grad_(True)
     polish = reinforcement_preset("ppo", "polish")

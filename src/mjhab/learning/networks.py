@@ -202,6 +202,7 @@ class Encoder(nn.Module):
         network = config.network
         self.history = inputs.history
         self.channels = layout.image_channels
+        self.image_features = network.image_features
         self.cameras = len(self.channels)
         self.normalizer = Normalizer(
             layout.width, MOST_SPREADS if inputs.normalize else math.inf

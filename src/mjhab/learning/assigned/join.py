@@ -6,31 +6,35 @@ What each member computes stays as it is, but for the last bits; see `students.r
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
-from mjhab.core.errors import UsageError, fault
+from mjhab.core.errors import UsageError, fault, wrong_value
 from mjhab.core.files.reading import is_file
 from mjhab.core.typed.options import read_record
 from mjhab.learning.assigned.entries import Entry
 from mjhab.learning.assigned.files import entries_in, read_entries
+from mjhab.learning.assigned.members import (
+    Asked,
+    Member,
+    keys_of,
+    member_for,
+    readable,
+)
 from mjhab.learning.assigned.spec import PolicyJoinSpec
 from mjhab.learning.checkpoint import (
     Checkpoint,
     load_checkpoint,
     save_compact,
     save_student,
-    student_of,
 )
-from mjhab.learning.configs import BC, VIEWS, InputConfig
+from mjhab.learning.configs import VIEWS
 from mjhab.learning.networks import Trunk
-from mjhab.learning.observation.parts import SubtaskConditioning, code_of
 from mjhab.learning.observation.sentences import encode_sentence
-from mjhab.learning.observation.spec import ObservationSpec
 from mjhab.learning.runs.collection import make_env
 from mjhab.learning.runs.specs import Resources, Scene
 from mjhab.learning.students.bc import BehaviourCloning
@@ -42,17 +46,10 @@ WORLDS = 8
 
 
 @dataclass(frozen=True)
-class KnownRequest:
-    """A request that a joined policy knows.
+class KnownRequest(Asked):
+    """A request that a joined policy knows. member: number of the network that acts."""
 
-    scene: where its member learned it. target: the type of its target. member: number of the policy that acts.
-    sentences: with which it is asked for.
-    """
-
-    scene: Scene
-    target: str
     member: int
-    sentences: tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -75,7 +72,6 @@ def join(spec: PolicyJoinSpec) -> JoinedPolicy:
     """
     read = entries_in if spec.policies.is_dir() else read_entries
     entries = read(spec.policies)
-    # One member for all entries of a file, so that its weights are stored once.
     files = list(dict.fromkeys(entry.checkpoint for entry in entries))
     for file in files:
         if not is_file(Path(file)):
@@ -83,18 +79,23 @@ def join(spec: PolicyJoinSpec) -> JoinedPolicy:
                 file, "is no checkpoint; only those of `mjhab train` can be joined."
             )
     # All are read before anything is made, so that a wrong one is refused at once.
-    saved = [load_checkpoint(Path(file)) for file in files]
-    members = [
-        _member(Path(file), one, files[0], saved[0])
-        for file, one in zip(files, saved, strict=True)
-    ]
-    routes = [
-        route
-        for entry in entries
-        for route in _routes(entry, files.index(entry.checkpoint), saved, spec)
-    ]
+    saved = dict(zip(files, [load_checkpoint(Path(file)) for file in files], strict=True))
+    students = dict(zip(files, readable(files, list(saved.values())), strict=True))
+    members: list[Member] = []
+    routes: list[KnownRequest] = []
+    for entry in entries:
+        for asked in _asked(entry, saved[entry.checkpoint], spec):
+            acts = member_for(students[entry.checkpoint], asked)
+            # One member for all requests of a network, so that its weights are stored once.
+            if acts not in members:
+                members.append(acts)
+            routes.append(
+                KnownRequest(
+                    asked.scene, asked.target, asked.sentences, members.index(acts)
+                )
+            )
     _check_apart(routes)
-    student = joined(members, routes)
+    student = joined(members, routes, spec.views)
     trunk = student.trunk
     assert isinstance(trunk, RoutedTrunk)
     _fit_gate_of(trunk, routes, spec.seed)
@@ -107,7 +108,7 @@ def join(spec: PolicyJoinSpec) -> JoinedPolicy:
         "scene": first,
         "also": more,
         "seed": spec.seed,
-        "members": [dict(one.about) for one in saved],
+        "members": [dict(one.about) for one in saved.values()],
     }
     save_student(spec.out, student, about)
     if not spec.full:
@@ -133,64 +134,13 @@ def _fit_gate_of(trunk: RoutedTrunk, routes: Sequence[KnownRequest], seed: int) 
         trunk.gate.bias.copy_(bias)
 
 
-def _member(
-    path: Path, saved: Checkpoint, first: str, wanted: Checkpoint
-) -> BehaviourCloning:
-    """A policy to join.
+def _asked(entry: Entry, saved: Checkpoint, spec: PolicyJoinSpec) -> list[Asked]:
+    """The requests that an entry is for, with the sentences of episodes of its policy's training.
 
     Raises:
-        UsageError: it is of another kind, or differs from the first one.
+        UsageError: the policy was not trained for it, or its homes are not found.
     """
-    student = student_of(path, saved)
-    if not (isinstance(student, BehaviourCloning) and isinstance(student.trunk, Trunk)):
-        raise fault(
-            path,
-            f"cannot be joined: it is a student of {saved.config.algorithm} with the encoder "
-            f"{saved.config.network.encoder}; give students of {BC}, dagger or ppo.",
-        )
-    if not saved.config.inputs.condition or saved.config.inputs.sentence:
-        raise fault(
-            path,
-            "cannot be joined: give students with inputs.condition=true and inputs.sentence=false.",
-        )
-    # Compared with the first one: members act by one head and one layout.
-    mine, others = saved.config, wanted.config
-    told = {
-        "inputs": (_apart_from_views(mine.inputs), _apart_from_views(others.inputs)),
-        "number of images": (len(saved.layout.image_keys), len(wanted.layout.image_keys)),
-        "network": (mine.network, others.network),
-        "number of executed actions": (mine.execute, others.execute),
-        "layout": (_apart_from_tasks(saved), _apart_from_tasks(wanted)),
-    }
-    wrong = [name for name, (its, theirs) in told.items() if its != theirs]
-    if wrong:
-        raise fault(
-            path,
-            f"cannot be joined with {first}: it has another {' and '.join(wrong)}.",
-        )
-    return student
-
-
-def _apart_from_views(inputs: InputConfig) -> InputConfig:
-    # Views may differ, since each member looks at its own.
-    return dataclasses.replace(inputs, whole_views=True, target_views=True)
-
-
-def _apart_from_tasks(saved: Checkpoint) -> ObservationSpec:
-    inputs = _apart_from_views(saved.layout.inputs)
-    # Targets and kinds are what members differ in by purpose.
-    return dataclasses.replace(saved.layout, targets=(), kinds=(), inputs=inputs)
-
-
-def _routes(
-    entry: Entry, member: int, saved: Sequence[Checkpoint], spec: PolicyJoinSpec
-) -> list[KnownRequest]:
-    """The requests that an entry is for, with the sentences of episodes of its member's training.
-
-    Raises:
-        UsageError: the member was not trained for it, or its homes are not found.
-    """
-    about = saved[member].about
+    about = saved.about
     try:
         scenes = [
             read_record(Scene, told, "scene")
@@ -215,8 +165,7 @@ def _routes(
     if not found:
         raise fault(entry.checkpoint, f"was not trained for {entry.words}.")
     return [
-        KnownRequest(scene, target, member, _sentences(scene, target, spec))
-        for scene, target in found
+        Asked(scene, target, _sentences(scene, target, spec)) for scene, target in found
     ]
 
 
@@ -268,31 +217,35 @@ def _check_apart(routes: Sequence[KnownRequest]) -> None:
 
 
 def joined(
-    members: Sequence[BehaviourCloning], routes: Sequence[KnownRequest]
+    members: Sequence[Member], routes: Sequence[KnownRequest], views: str = ""
 ) -> BehaviourCloning:
     """One student that does on each route what its member does; its gate is not fitted yet.
 
     Args:
         members: with the same inputs and networks. routes: requests, each of one member.
+        views: what every member sees, one of VIEWS; if not given, what it has seen so far. The weights of images that
+            are new to a member are zero, and their encoder is that of a member that knows them, if there is one.
+
+    Raises:
+        UsageError: a member would lose images.
     """
-    first = members[0]
-    seen = [member.config.inputs for member in members]
+    first = members[0].student
+    named = tuple(views or member.views for member in members)
     inputs = dataclasses.replace(
         first.config.inputs,
         condition=False,
         sentence=True,
-        whole_views=any(each.whole_views for each in seen),
-        target_views=any(each.target_views for each in seen),
+        whole_views=any(VIEWS[name][0] for name in named),
+        target_views=any(VIEWS[name][1] for name in named),
     )
     layout = dataclasses.replace(
         first.layout,
         inputs=inputs,
         targets=tuple(dict.fromkeys(route.target for route in routes)),
     )
-    called = {views: name for name, views in VIEWS.items()}
     network = dataclasses.replace(
         first.config.network,
-        experts=tuple(called[each.whole_views, each.target_views] for each in seen),
+        experts=named,
         routes=tuple(route.member for route in routes),
     )
     # Nothing behind the executed actions of a chunk is ever used.
@@ -304,58 +257,97 @@ def joined(
     trunk = made.trunk
     assert isinstance(trunk, RoutedTrunk)
     width = trunk.width // len(members)
+    known = {
+        key: encoder
+        for member in reversed(members)
+        for key, encoder in member.encoders.items()
+    }
     with torch.no_grad():
-        # Columns of the members that do not act must add nothing.
+        # Columns of the members that do not act must add nothing; actions are given unnormalized, as heads of members
+        # give them.
         made.head.weight.zero_()
         made.head.bias.zero_()
         for number, member in enumerate(members):
             expert = trunk.experts[number]
             assert isinstance(expert, Trunk)
-            _take_over(expert, member, [_code(route, number, member) for route in routes])
+            # The gate never sends the routes of others here, so that any code would do.
+            codes = [
+                member.code(route) if route.member == number else member.unasked
+                for route in routes
+            ]
+            seen = {key: known.get(key) for key in keys_of(inputs, named[number])}
+            _take_over(expert, member, codes, seen)
+            weight, bias = member.head
             rows = len(made.head.weight)
-            # Members normalize actions each by itself; the joined head gives them unnormalized.
-            scale = member.action_normalizer.scale.repeat(config.chunk)
-            mean = member.action_normalizer.mean.repeat(config.chunk)
             mine = made.head.weight[:, number * width : (number + 1) * width]
             # Column 0 of a member's features is 1 where it acts, so that its bias is switched as well.
-            mine[:, 0] = member.head.bias[:rows] * scale + mean
-            mine[:, 1:] = member.head.weight[:rows] * scale[:, None]
+            mine[:, 0] = bias[:rows]
+            mine[:, 1:] = weight[:rows]
     return made.eval().requires_grad_(False)
 
 
-def _code(route: KnownRequest, number: int, member: BehaviourCloning) -> Tensor:
-    """What a member is told on a route; zeros on those of the others."""
-    width = member.layout.conditioning_width
-    if route.member != number:
-        # The gate never sends these routes here, so that any value would do.
-        return torch.zeros(width)
-    asked = SubtaskConditioning(route.scene.subtask, route.target, "")
-    return torch.from_numpy(code_of(asked, member.layout))
+def _take_over(
+    expert: Trunk,
+    member: Member,
+    codes: Sequence[Tensor],
+    images: Mapping[str, nn.Module | None],
+) -> None:
+    """Copy a member's network to an expert that is told the number of the route in place of a code.
 
+    Args:
+        expert: the new network. member: what it is to do. codes: what the member is told on each route.
+        images: keys of those that the expert sees, with the encoder of one that is new to the member; None if nobody
+            has one.
 
-def _take_over(expert: Trunk, member: BehaviourCloning, codes: Sequence[Tensor]) -> None:
-    """Copy the weights of a member's trunk to an expert that is told the number of the route in place of a code."""
-    trunk = member.trunk
-    assert isinstance(trunk, Trunk)
-    measured = member.layout.measured_width
+    Raises:
+        UsageError: the member sees an image that the expert does not.
+    """
+    trunk, mine = member.trunk, member.encoders
+    if lost := [key for key in mine if key not in images]:
+        raise wrong_value("views", ", ".join(images), f"views with {', '.join(lost)}")
+    measured = len(trunk.normalizer.mean) - len(codes[0])
     table = torch.stack(list(codes), dim=1)
     old = trunk.state_dict()
-    images = 0 if member.config.network.state_features else expert.encoder.cameras
-    before = images * member.config.network.image_features
-    first = "encoder.state" if member.config.network.state_features else "layers.0"
-    first += ".weight" if f"{first}.weight" in old else ".0.weight"
-    weight = old[first]
-    steps = expert.encoder.vector_width // (measured + len(codes))
-    parts = [weight[:, :before]]
-    for step in weight[:, before:].unflatten(1, (steps, -1)).unbind(1):
-        parts += [step[:, :measured], step[:, measured:] @ table]
-    new = {**old, first: torch.cat(parts, dim=1)}
+    new = {k: v for k, v in old.items() if not k.startswith("encoder.encoders.")}
+    features = trunk.encoder.image_features
+    weight = old["layers.0.weight"]
+    own = {
+        key: weight[:, number * features : (number + 1) * features]
+        for number, key in enumerate(mine)
+    }
+    behind = weight[:, len(mine) * features :]
+    # With a layer of its own for the state, the code enters there.
+    stated = not isinstance(trunk.encoder.state, nn.Identity)
+    if stated:
+        key = "encoder.state.weight"
+        key = key if key in old else "encoder.state.0.weight"
+        new[key] = _recoded(old[key], measured, table)
+    else:
+        behind = _recoded(behind, measured, table)
+    for number, (key, known) in enumerate(images.items()):
+        if encoder := mine.get(key, known):
+            new |= {
+                f"encoder.encoders.{number}.{name}": value
+                for name, value in encoder.state_dict().items()
+            }
+    unread = weight.new_zeros(len(weight), features)
+    seen = [own.get(key, unread) for key in images]
+    new["layers.0.weight"] = torch.cat([*seen, behind], dim=1)
     for name, filler in (("mean", 0.0), ("scale", 1.0)):
         key = f"encoder.normalizer.{name}"
         # Codes are not normalized: mean 0 and scale 1 leave them as they are.
         rest = torch.full((len(codes),), filler)
         new[key] = torch.cat([old[key][:measured], rest])
-    expert.load_state_dict(new)
+    # Encoders that nobody has keep their random weights.
+    expert.load_state_dict({**expert.state_dict(), **new})
+
+
+def _recoded(weight: Tensor, measured: int, table: Tensor) -> Tensor:
+    """Weights of a vector with a code at the end of every step for one with the route (R): ``table`` (T, R)."""
+    parts = []
+    for step in weight.unflatten(1, (-1, measured + len(table))).unbind(1):
+        parts += [step[:, :measured], step[:, measured:] @ table]
+    return torch.cat(parts, dim=1)
 
 
 def _unread(trunk: RoutedTrunk, routes: Sequence[KnownRequest]) -> tuple[str, ...]:

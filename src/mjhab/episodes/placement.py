@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -44,14 +45,18 @@ class Draw:
     placed: dict[int, tuple[np.ndarray, float]]
     pose: np.ndarray
     standing: dict[str, Outlines]
+    _found: dict[tuple[str, ...], list[PlacedReceptacle]] = field(default_factory=dict)
 
     def places(self, *names: str) -> list[PlacedReceptacle]:
         """Return the receptacles of the home that have one of the roles ``names``."""
-        return with_role(self.receptacles, self.roles, *names)
+        # Asked for at every place that is tried.
+        if names not in self._found:
+            self._found[names] = with_role(self.receptacles, self.roles, *names)
+        return self._found[names]
 
     def on_shelf(self, place: PlacedReceptacle) -> bool:
         """Return whether a receptacle is the fridge shelf."""
-        return bool(with_role((place,), self.roles, FRIDGE_SHELF))
+        return any(place is shelf for shelf in self.places(FRIDGE_SHELF))
 
     def target_gap(self, place: PlacedReceptacle) -> float:
         """Return the least gap [m] between the bounding circles of a target and its neighbours on a receptacle."""
@@ -246,8 +251,11 @@ class Placer:
         radius, gap = size
         if not clear_of(draw.standing.get(place.id, ()), pos, radius + THING_SHARE * gap):
             return False
-        return all(
+        x, y, z = pos.tolist()
+        # Plain numbers: dozens of objects are asked about at every place that is tried.
+        for other, r in draw.placed.values():
+            ox, oy, oz = other.tolist()
             # More than a shelf apart in height they cannot meet.
-            abs(p[2] - pos[2]) > 0.35 or np.hypot(*(p[:2] - pos[:2])) > r + radius + gap
-            for p, r in draw.placed.values()
-        )
+            if abs(oz - z) <= 0.35 and math.hypot(ox - x, oy - y) <= r + radius + gap:
+                return False
+        return True

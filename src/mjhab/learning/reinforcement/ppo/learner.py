@@ -15,6 +15,7 @@ from mjhab.learning.reinforcement.agent_encoder import AgentObs
 from mjhab.learning.reinforcement.configs import ReinforcementConfig
 from mjhab.learning.reinforcement.finite import check_finite
 from mjhab.learning.reinforcement.ppo.agent import Ppo
+from mjhab.learning.reinforcement.ppo.rate import adapted_rate
 from mjhab.learning.reinforcement.ppo.rollout import Rollout, outcomes_of
 from mjhab.learning.reinforcement.replay import ReplayBuffer
 from mjhab.learning.reinforcement.returns import (
@@ -25,9 +26,6 @@ from mjhab.learning.reinforcement.running import RunningStatistics
 from mjhab.learning.reinforcement.worlds import Transition, Worlds
 from mjhab.learning.runs import distributed
 
-RATE_STEP = 1.5
-MOST_RATE = 3e-3
-"""Factor and upper limit of the learning rate that adapts to the KL divergence (the scheme of rsl_rl and rl_games)."""
 IMITATION_RATE = 1e-3
 """Learning rate at the start of imitation; it falls to zero."""
 IMITATION_HUBER = 0.5
@@ -204,7 +202,11 @@ class PpoLearner:
             )
             divergence /= config.minibatches
             distributed.average([divergence])
-            self._adapt(float(divergence))
+            # While only the critic learns the policy does not move, and the rate would rise without end.
+            if self.updates >= config.critic_updates:
+                self.learning_rate = adapted_rate(
+                    self.learning_rate, float(divergence), config
+                )
             if config.target_kl and float(divergence) > config.target_kl:
                 break
         self.updates += 1
@@ -213,20 +215,6 @@ class PpoLearner:
             "action_std": float(rollout.stds.mean()),
             "learning_rate": self.learning_rate,
         }
-
-    def _adapt(self, divergence: float) -> None:
-        """Adapt the learning rate so that the KL divergence of an epoch stays near ``desired_kl``."""
-        wanted = self.config.desired_kl
-        # While only the critic learns the policy does not move, and the rate would rise without end.
-        if not wanted or self.updates < self.config.critic_updates:
-            return
-        if divergence > 2.0 * wanted:
-            self.learning_rate /= RATE_STEP
-        elif divergence < 0.5 * wanted:
-            self.learning_rate *= RATE_STEP
-        self.learning_rate = min(
-            max(self.learning_rate, self.config.least_learning_rate), MOST_RATE
-        )
 
     def _imitation_weight(self) -> float:
         """Weight of the imitation loss in this update."""

@@ -35,8 +35,6 @@ class PolicyJoinSpec:
     has seen so far."""
     episodes: Positive = 200
     """Episodes per request, of which the sentences are taken."""
-    seed: int = 0
-    """Seed of these episodes, and of the random words that the gate learns to ignore."""
     full: bool = False
     """Store 32-bit numbers."""
 

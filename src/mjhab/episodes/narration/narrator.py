@@ -117,7 +117,7 @@ class _Tale:
         """
         subtask = self.plan.subtasks[position]
         target = subtask.target
-        goal = self._spot(self._goal_place(subtask))
+        goal = self._spot(self._goal_places[position])
         obj = target.removeprefix(GOAL_OF)
         # Open and Close are about a link, and their target names it.
         if obj not in self.layout.object_names:
@@ -146,6 +146,11 @@ class _Tale:
         target = self._targets.get(subtask.obj)
         link = target.goal_link if target is not None else ""
         return self.words.place(subtask.goal_pos, link)
+
+    @cached_property
+    def _goal_places(self) -> tuple[PlacedReceptacle | None, ...]:
+        """Where the goal of each subtask of the plan is."""
+        return tuple(map(self._goal_place, self.plan.subtasks))
 
     # -- objects ---------------------------------------------------------------------------------------------------
 
@@ -224,18 +229,33 @@ class _Tale:
         """`_find_apart`, once for each arrangement: most sentences of a whole task are about the same one."""
         return cache(self._find_apart)
 
-    def _rivals(self, obj: str) -> list[str]:
-        """Objects of the episode that the names of an object fit."""
-        return [name for name in self.points if name in self.alike[obj]]
+    @cached_property
+    def _rivals(self) -> Callable[[str], list[str]]:
+        """Objects of the episode that the names of an object fit; found once for each object."""
+        return cache(
+            lambda obj: [name for name in self.points if name in self.alike[obj]]
+        )
+
+    @cached_property
+    def _carried(self) -> dict[str, list[tuple[int, Vec3, PlacedReceptacle | None]]]:
+        """By object, the subtasks that bring it to their goal: position in the plan, where, and on what."""
+        found: dict[str, list[tuple[int, Vec3, PlacedReceptacle | None]]] = {}
+        for position, subtask in enumerate(self.plan.subtasks):
+            if spec_of(subtask.kind).brings_to_goal:
+                row = (position, subtask.goal_pos, self._goal_places[position])
+                found.setdefault(subtask.obj, []).append(row)
+        return found
 
     def _whereabouts(
         self, position: int, obj: str, anytime: bool
     ) -> list[tuple[Vec3, PlacedReceptacle | None]]:
         """Where an object is when the subtask at ``position`` starts; ``anytime``: also at the start of the episode."""
         found = [(self.points[obj], self.place(obj))]
-        for subtask in self.plan.subtasks[:position]:
-            if subtask.obj == obj and spec_of(subtask.kind).brings_to_goal:
-                found.append((subtask.goal_pos, self._goal_place(subtask)))
+        found += [
+            (point, place)
+            for when, point, place in self._carried.get(obj, ())
+            if when < position
+        ]
         return found if anytime else found[-1:]
 
     def _landmarks_on(self, spot: Spot, without: Collection[str]) -> list[Landmark]:

@@ -41,6 +41,7 @@ from mjhab.learning.runs.run import Logbook
 from mjhab.learning.runs.session import OutOfTime
 from mjhab.learning.runs.time_budget import TimeBudget
 from mjhab.learning.runs.training import BrokenLossError
+from mjhab.tasks.thresholds import TaskConfig
 from tests.learning.small import train_in
 from tests.refusals import refused
 
@@ -407,14 +408,20 @@ def test_an_unknown_success_that_chooses_is_refused() -> None:
         with_changes(TINY, ("keep_best_by=at_ent",))
 
 
-def test_horizon_and_stillness_of_training_may_differ_from_the_profile(
+def test_horizon_and_success_of_training_may_differ_from_the_profile(
     tmp_path: Path,
 ) -> None:
     polishing = dataclasses.replace(
-        TINY, horizon=200, reward_mode="sparse", success_ends=True, stillness="absolute"
+        TINY,
+        horizon=200,
+        reward_mode="sparse",
+        success_ends=True,
+        stillness="absolute",
+        rest_share=0.5,
     )
     with train.open_reinforcement(request(polishing, out=tmp_path)) as session:
         assert session.env.task_config.stillness == "absolute"
+        assert session.env.task_config.arm_tol == 0.5 * TaskConfig.arm_tol
         assert session.env.task_config.limits["close"].horizon == 200
         assert session.env.config.reward_mode == "sparse"
         assert session.layout.profile == "ms_hab"

@@ -197,6 +197,10 @@ class SacConfig:
         )
 
 
+REST_TOLERANCES = ("ee_rest_tol", "arm_tol", "arm_tol_grasped")
+"""The tolerances of `TaskConfig` that `ReinforcementConfig.rest_share` is about."""
+
+
 @dataclass(frozen=True)
 class ReinforcementConfig:
     """An agent and its training. A sample is one control step of one world.
@@ -217,6 +221,8 @@ class ReinforcementConfig:
     stillness: of training episodes, see `TaskConfig.stillness`; "" takes that of the profile. That of the scene, if it
     names one, goes before. Where a joint that moves backwards counts as still ("published"), PPO learns to succeed
     while it moves so, and the policy does not come to rest. Evaluations during the run keep that of the profile.
+    rest_share: tolerances of the rest of hand and arm in training episodes (REST_TOLERANCES), as a share of the task's.
+    A policy that is paid for success alone comes to rest at the edge of what counts, and often just beside it.
     checkpoint_samples: samples between checkpoints. At a checkpoint all worlds start new episodes, so that a resumed
     run gives the same result as an uninterrupted one. eval_samples: samples between evaluations.
     keep_best_by: success that chooses the run's student among the evaluations on the way, one of KEEP_BEST_BY. "once"
@@ -240,6 +246,7 @@ class ReinforcementConfig:
     reward_mode: str = TrainConfig.reward_mode
     success_ends: bool = False
     stillness: str = ""
+    rest_share: Annotated[float, Bound(0.05, 1.0)] = 1.0
     checkpoint_samples: int = 50_000
     eval_samples: int = 100_000
     keep_best_by: str = ONCE

@@ -18,6 +18,7 @@ from mjhab.envs.parts.reporting import CHECKERS
 from mjhab.learning.devices import training_device
 from mjhab.learning.observation.spec import ObservationSpec, observation_spec_of
 from mjhab.learning.reinforcement.agent_encoder import AgentEncoder
+from mjhab.learning.reinforcement.configs import REST_TOLERANCES
 from mjhab.learning.reinforcement.environments import training_env
 from mjhab.learning.reinforcement.request import start_of
 from mjhab.learning.reinforcement.specs import ReinforcementSpec
@@ -30,6 +31,7 @@ from mjhab.learning.runs.specs import Resources
 from mjhab.learning.students.heads import check_student
 from mjhab.learning.students.student import Student
 from mjhab.tasks.subtasks.registry import SUBTASKS, limits_of
+from mjhab.tasks.thresholds import TaskConfig
 
 REPLAY = "replay"
 DEMONSTRATIONS = "demonstrations"
@@ -150,6 +152,11 @@ class ReinforcementSession(Session):
             "reward_mode": self.config.reward_mode,
             "stillness": self.spec.scene.stillness or self.config.stillness,
         }
+        if self.config.rest_share < 1.0:
+            options["overrides"] = {
+                name: self.config.rest_share * getattr(TaskConfig, name)
+                for name in REST_TOLERANCES
+            }
         if SUBTASKS[self.spec.scene.subtask].navigates:
             del options["horizon"]
         return {name: value for name, value in options.items() if value}

@@ -306,6 +306,16 @@ def test_too_much_force_ends_an_episode_and_every_force_costs() -> None:
     assert place.held() == {"force_ok": 0.0}
 
 
+def test_only_the_last_steps_of_an_episode_may_be_paid() -> None:
+    env = Toy(2)
+    place = Worlds(env, encoder_of(env), 0, TrainingRules(paid_steps=3))
+    free = Worlds(Toy(2), encoder_of(env), 0)
+    for step in range(1, HORIZON + 1):
+        paid = place.step(torch.zeros(2, 1)).reward
+        usual = free.step(torch.zeros(2, 1)).reward
+        assert torch.equal(paid, usual if step > HORIZON - 3 else torch.zeros(2))
+
+
 def test_a_success_may_end_an_episode() -> None:
     env = Toy(2)
     place = Worlds(env, encoder_of(env), 0, TrainingRules(success_ends=True))

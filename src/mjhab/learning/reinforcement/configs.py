@@ -218,6 +218,8 @@ class ReinforcementConfig:
     reward_mode: of the training environment, see `EnvConfig`. success_ends: a training episode terminates at its first
     success. With reward_mode "sparse", which pays 1 per control step in success, the return is then gamma to the power
     of the control steps until success.
+    paid_steps: the reward is paid in the last so many control steps of a training episode; 0 for all. Where every
+    control step in success is paid, a policy gains more by being fast than by succeeding more often.
     stillness: of training episodes, see `TaskConfig.stillness`; "" takes that of the profile. That of the scene, if it
     names one, goes before. Where a joint that moves backwards counts as still ("published"), PPO learns to succeed
     while it moves so, and the policy does not come to rest. Evaluations during the run keep that of the profile.
@@ -245,6 +247,7 @@ class ReinforcementConfig:
     force_cost: float = 0.0
     reward_mode: str = TrainConfig.reward_mode
     success_ends: bool = False
+    paid_steps: FromZero = 0
     stillness: str = ""
     rest_share: Annotated[float, Bound(0.05, 1.0)] = 1.0
     checkpoint_samples: int = 50_000
@@ -260,6 +263,12 @@ class ReinforcementConfig:
                 True,
                 "false with rlpd, whose demonstrations go on after success",
                 "Take ppo or sac.",
+            )
+        if self.success_ends and self.paid_steps:
+            raise wrong_value(
+                "paid_steps",
+                self.paid_steps,
+                "0 with success_ends, which ends an episode before they begin",
             )
         if self.stillness and self.stillness not in STILLNESS:
             raise unknown_name("stillness", self.stillness, STILLNESS)

@@ -141,6 +141,7 @@ class ReinforcementSession(Session):
             force_ends=self.config.force_ends,
             force_cost=self.config.force_cost,
             success_ends=self.config.success_ends,
+            paid_steps=self.config.paid_steps,
             conditions=tuple(name for name in conditions if name in CHECKERS),
         )
 

@@ -42,6 +42,7 @@ class TrainingRules:
     force_limit: on the cumulative force [N x control steps]. force_ends: an episode terminates when it exceeds the
     limit. force_cost: total reward subtracted over an episode whose cumulative force reaches the limit.
     success_ends: an episode terminates at its first success.
+    paid_steps: the reward of the environment is paid in the last so many control steps of an episode; 0 for all.
     conditions: boolean keys of ``info`` whose frequency ``Worlds.held`` reports.
     """
 
@@ -50,6 +51,7 @@ class TrainingRules:
     force_ends: bool = False
     force_cost: float = 0.0
     success_ends: bool = False
+    paid_steps: int = 0
     conditions: tuple[str, ...] = ()
 
     def apply(
@@ -61,6 +63,9 @@ class TrainingRules:
             terminated = terminated | exceeded
         if self.success_ends:
             terminated = terminated | torch.as_tensor(info["success"])
+        if self.paid_steps:
+            late = torch.as_tensor(info["steps_left"]) < self.paid_steps
+            reward = reward * late
         if self.force_cost:
             share = torch.as_tensor(info["robot_force"]).float() / self.force_limit
             reward = reward - self.force_cost * share

@@ -122,16 +122,16 @@ def test_more_views_change_nothing_until_they_are_learned_from() -> None:
     assert isinstance(trunk, RoutedTrunk)
     state = trunk.state_dict()
     # What is new to a member begins as what another has learned of it.
-    for name in [
-        name for name in state if name.startswith("experts.0.encoder.encoders.0")
-    ]:
+    new = [name for name in state if name.startswith("experts.0.encoder.encoders.0")]
+    assert new
+    for name in new:
         assert torch.equal(state[name], state[name.replace("experts.0", "experts.1")])
     more.chunk_of(
         trunk(torch.tensor(told).float(), torch.tensor(images))
     ).sum().backward()
-    new = dict(trunk.named_parameters())["experts.1.layers.0.weight"]
-    assert new.grad is not None
-    assert new.grad.any(dim=0)[: 2 * more.config.network.image_features].all()
+    first = dict(trunk.named_parameters())["experts.1.layers.0.weight"]
+    assert first.grad is not None
+    assert first.grad.any(dim=0)[: 2 * more.config.network.image_features].all()
     with pytest.raises(UsageError, match="views"):
         joined([Member(member) for member in members], _routes(), "target")
 

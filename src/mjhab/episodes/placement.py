@@ -45,7 +45,9 @@ class Draw:
     placed: dict[int, tuple[np.ndarray, float]]
     pose: np.ndarray
     standing: dict[str, Outlines]
-    _found: dict[tuple[str, ...], list[PlacedReceptacle]] = field(default_factory=dict)
+    _found: dict[tuple[str, ...], list[PlacedReceptacle]] = field(
+        default_factory=dict, init=False, repr=False
+    )
 
     def places(self, *names: str) -> list[PlacedReceptacle]:
         """Return the receptacles of the home that have one of the roles ``names``."""

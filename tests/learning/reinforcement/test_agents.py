@@ -313,6 +313,7 @@ def test_only_the_last_steps_of_an_episode_may_be_paid() -> None:
     for step in range(1, HORIZON + 1):
         paid = place.step(torch.zeros(2, 1)).reward
         usual = free.step(torch.zeros(2, 1)).reward
+        assert usual.all()
         assert torch.equal(paid, usual if step > HORIZON - 3 else torch.zeros(2))
 
 
@@ -332,6 +333,8 @@ def test_demonstrations_do_not_end_with_success() -> None:
 
 
 def test_a_wrong_stillness_lists_the_names() -> None:
+    with refused("paid_steps", 9):
+        changed(reinforcement_preset("rlpd"), {"paid_steps": 9})
     with refused("stillness", "still"):
         changed(reinforcement_preset("ppo", "polish"), {"stillness": "still"})
 

@@ -231,6 +231,16 @@ def joined(
         UsageError: a member would lose images.
     """
     first = members[0].student
+    for member in members:
+        if views and any(
+            its and not all_see
+            for its, all_see in zip(VIEWS[member.views], VIEWS[views], strict=True)
+        ):
+            raise wrong_value(
+                "views",
+                views,
+                f"those that every member sees, {member.views!r} among them",
+            )
     named = tuple(views or member.views for member in members)
     inputs = dataclasses.replace(
         first.config.inputs,
@@ -297,15 +307,10 @@ def _take_over(
 
     Args:
         expert: the new network. member: what it is to do. codes: what the member is told on each route.
-        images: keys of those that the expert sees, with the encoder of one that is new to the member; None if nobody
-            has one.
-
-    Raises:
-        UsageError: the member sees an image that the expert does not.
+        images: keys of those that the expert sees, all of the member's among them, with the encoder of one that is new
+            to the member; None if nobody has one.
     """
     trunk, mine = member.trunk, member.encoders
-    if lost := [key for key in mine if key not in images]:
-        raise wrong_value("views", ", ".join(images), f"views with {', '.join(lost)}")
     measured = len(trunk.normalizer.mean) - len(codes[0])
     table = torch.stack(list(codes), dim=1)
     old = trunk.state_dict()

@@ -264,11 +264,11 @@ class ReinforcementConfig:
                 "false with rlpd, whose demonstrations go on after success",
                 "Take ppo or sac.",
             )
-        if self.success_ends and self.paid_steps:
+        if self.paid_steps and (self.success_ends or self.algorithm == RLPD):
             raise wrong_value(
                 "paid_steps",
                 self.paid_steps,
-                "0 with success_ends, which ends an episode before they begin",
+                "0 with success_ends and with rlpd, whose episodes end before they begin",
             )
         if self.stillness and self.stillness not in STILLNESS:
             raise unknown_name("stillness", self.stillness, STILLNESS)

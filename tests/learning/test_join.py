@@ -9,12 +9,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from safetensors.torch import load_file
 
 from mjhab.core.errors import UsageError
 from mjhab.learning.assigned.join import KnownRequest, join, joined
 from mjhab.learning.assigned.members import Member, member_for
 from mjhab.learning.assigned.spec import PolicyJoinSpec
-from mjhab.learning.checkpoint import load_student, save_student
+from mjhab.learning.checkpoint import (
+    load_checkpoint,
+    load_student,
+    save_compact,
+    save_student,
+)
 from mjhab.learning.configs import ACT, InputConfig, NetworkConfig
 from mjhab.learning.observation.sentences import encode_sentence
 from mjhab.learning.observation.spec import ObservationSpec, observation_spec_of
@@ -22,9 +28,10 @@ from mjhab.learning.reinforcement.agent_encoder import AgentObs
 from mjhab.learning.reinforcement.configs import reinforcement_preset
 from mjhab.learning.reinforcement.ppo.agent import Ppo
 from mjhab.learning.runs.specs import Scene
+from mjhab.learning.students import compact
 from mjhab.learning.students.bc import BehaviourCloning
 from mjhab.learning.students.heads import check_student, make_student
-from mjhab.learning.students.routed import RoutedTrunk, fit_gate
+from mjhab.learning.students.routed import RoutedTrunk, fit_gate, secondary_weights
 from mjhab.learning.students.student import Student
 from tests.learning.small import SIZE, condition_of, config, layout
 
@@ -134,6 +141,32 @@ def test_more_views_change_nothing_until_they_are_learned_from() -> None:
     assert first.grad.any(dim=0)[: 2 * more.config.network.image_features].all()
     with pytest.raises(UsageError, match="views"):
         joined([Member(member) for member in members], _routes(), "target")
+
+
+def test_views_beside_those_of_the_target_are_stored_in_8_bits(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # The matrices of these networks are small.
+    monkeypatch.setattr(compact, "LEAST_NUMBERS", 16)
+    members = [Member(_member(1, FOVEAL)), Member(_member(2, WHOLE))]
+    student = joined(members, _routes(), "both")
+    large, small = tmp_path / "large.safetensors", tmp_path / "small.safetensors"
+    save_student(large, student, {})
+    save_compact(large, small)
+    stored = load_file(small)
+    encoders = "trunk.experts.0.encoder.encoders."
+    matrices = [name for name in stored if name.endswith("head.0.weight")]
+    kinds = {
+        name.removeprefix(encoders)[0]: stored[name].dtype
+        for name in matrices
+        if name.startswith(encoders)
+    }
+    assert kinds == {"0": torch.int8, "1": torch.float16}
+    again = load_checkpoint(small).tensors
+    for name, tensor in student.state_dict().items():
+        assert (again[name] - tensor).abs().max() <= 0.005 * tensor.abs().max() + 1e-6
+    # A network that sees whole views alone acts by them.
+    assert not secondary_weights(_joined(_member(1, FOVEAL), _member(2, WHOLE)))
 
 
 def test_a_network_of_a_joined_policy_can_be_exchanged() -> None:

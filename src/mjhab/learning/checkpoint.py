@@ -28,6 +28,7 @@ from mjhab.learning.observation.spec import ObservationSpec
 from mjhab.learning.runs.run import STUDENT
 from mjhab.learning.students.compact import compacted, expanded
 from mjhab.learning.students.heads import make_student
+from mjhab.learning.students.routed import secondary_weights
 from mjhab.learning.students.student import Student
 
 FORMAT = "mjhab-student-1"
@@ -72,7 +73,8 @@ def save_compact(
     saved = load_checkpoint(source)
     student = student_of(source, saved)
     metadata = saved.about if about is None else about
-    save_tensors(target, student, compacted(student.state_dict()), metadata)
+    tensors = compacted(student.state_dict(), secondary_weights(student))
+    save_tensors(target, student, tensors, metadata)
 
 
 def load_checkpoint(path: Path) -> Checkpoint:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Container, Mapping
 
 import torch
 from torch import Tensor
@@ -18,13 +18,19 @@ LARGEST = 127
 LEAST_SCALE = 1e-12
 
 
-def compacted(tensors: Mapping[str, Tensor]) -> dict[str, Tensor]:
-    """Matrices and kernels (N, ...) as float16, or as int8 with scales (N,) under another name; all else as it is."""
+def compacted(
+    tensors: Mapping[str, Tensor], coarse: Container[str] = ()
+) -> dict[str, Tensor]:
+    """Matrices and kernels (N, ...) as float16, or as int8 with scales (N,) under another name; all else as it is.
+
+    Args:
+        tensors: weights by name. coarse: names of matrices that become int8 though they are not among the largest.
+    """
     found: dict[str, Tensor] = {}
     for name, tensor in tensors.items():
         if tensor.ndim < 2 or tensor.numel() < LEAST_NUMBERS:
             found[name] = tensor
-        elif tensor.numel() <= MOST_HALVES:
+        elif name not in coarse and tensor.numel() <= MOST_HALVES:
             found[name] = tensor.half()
         else:
             rows = tensor.detach().flatten(1)

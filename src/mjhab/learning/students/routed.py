@@ -13,8 +13,10 @@ from torch import Tensor, nn
 from mjhab.core.errors import wrong_value
 from mjhab.learning.configs import VIEWS, StudentConfig
 from mjhab.learning.networks import Normalizer, Trunk
+from mjhab.learning.observation.parts import image_keys
 from mjhab.learning.observation.sentences import SENTENCE_WIDTH
 from mjhab.learning.observation.spec import ObservationSpec
+from mjhab.learning.students.student import Student
 
 COPIES = 64
 """Variants of a sentence that a gate learns from."""
@@ -113,6 +115,23 @@ class RoutedTrunk(nn.Module):
 
     def forward(self, vector: Tensor, images: Tensor) -> Tensor:
         return self.layers(self.encoded(vector, images))
+
+
+def secondary_weights(student: Student) -> frozenset[str]:
+    """Names of the weights of the encoders of whole views in networks of a joined student that see the target as well.
+
+    Such a network acts by the views of the target in the first place.
+    """
+    inputs = student.config.inputs
+    whole = len(image_keys(replace(inputs, whole_views=True, target_views=False)))
+    encoders = tuple(
+        f"trunk.experts.{number}.encoder.encoders.{image}."
+        for number, views in enumerate(student.config.network.experts)
+        if all(VIEWS[views])
+        # Whole views are the first images.
+        for image in range(whole)
+    )
+    return frozenset(name for name in student.state_dict() if name.startswith(encoders))
 
 
 def _span(widths: Sequence[int], number: int, step: int) -> range:

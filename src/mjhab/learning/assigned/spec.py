@@ -21,8 +21,9 @@ class PolicyJoinSpec:
 
     The result is one checkpoint, for evaluation, serving and further training as any other; it sees what its members
     see, with the instruction in place of the one-hot condition. A gate, linear in the words, is fitted to the sentences
-    of episodes that the members were trained in. Weights are stored as 16-bit numbers. Of a policy that was joined
-    before, a request takes the network that acts on it, so that one of several can be exchanged.
+    of episodes that the members were trained in. Weights are stored as 16-bit numbers, those of
+    encoders of whole views beside views of the target as 8-bit ones. Of a policy that was joined before, a request
+    takes the network that acts on it, so that one of several can be exchanged.
     """
 
     policies: Annotated[Path, Flag(metavar="POLICIES.json|FOLDER", positional=True)]

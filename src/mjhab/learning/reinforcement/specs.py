@@ -104,7 +104,7 @@ class ReinforcementSpec(TrainSpec):
 @dataclass(frozen=True, kw_only=True)
 class PpoSpec(ReinforcementSpec):
     """Proximal policy optimization. Presets: fast (states), scratch (states, from random weights),
-    depth, polish (of a student), paper, paper_state (the same from states).
+    depth, polish (of a student), refine (of a polished one), paper, paper_state (the same from states).
 
     `mjhab train ppo --task set_table --subtask close --target kitchen_counter/drawer3 --preset fast
     --budget-minutes 20 --out runs/ppo`

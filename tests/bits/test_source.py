@@ -15,6 +15,12 @@ SOURCE = Path(__file__).parents[2] / "src" / "mjhab"
 COMPUTING = ("config", "core", "envs", "episodes", "experts", "layout", "robots")
 COMPUTING += ("scenes", "sim", "tasks")
 """Packages that make models, starts and actions."""
+STARTING = ("episodes", "layout", "scenes")
+"""Packages that decide where episodes begin."""
+BY_PROCESSOR = frozenset(
+    "arccos arcsin arctan arctan2 cbrt exp expm1 log log10 log1p log2 power tan".split()
+)
+"""Functions of NumPy with other last bits where there is AVX-512 (`core.arithmetic.elementary`)."""
 
 INTEGER_FIELDS = frozenset(
     {
@@ -238,6 +244,20 @@ def _faults(node: ast.AST) -> Iterator[tuple[int, str]]:
     spelt = {f"math.{name}" for name in FORBIDDEN_IN_MATH}
     if isinstance(node, ast.Attribute) and ast.unparse(node) in spelt:
         yield node.lineno, ast.unparse(node)
+
+
+def test_starts_use_no_function_whose_bits_depend_on_the_processor() -> None:
+    found = [
+        (path, node.lineno, node.attr)
+        for path, nodes in sources().items()
+        if path.split("/")[0] in STARTING
+        for node in nodes
+        if isinstance(node, ast.Attribute)
+        and node.attr in BY_PROCESSOR
+        and isinstance(node.value, ast.Name)
+        and node.value.id in ("np", "xp")
+    ]
+    assert found == []
 
 
 def test_folders_are_listed_in_order() -> None:

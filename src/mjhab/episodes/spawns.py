@@ -8,6 +8,7 @@ and the goal; the published rule of MS-HAB requires neither (`SpawnGoal.publishe
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 
@@ -229,7 +230,7 @@ class SpawnSampler:
         """Return the heading [rad] from ``xy`` to ``goal.face``; without it the middle of ``goal.yaw``."""
         if goal.face is None:
             return 0.5 * (goal.yaw[0] + goal.yaw[1])
-        return float(np.arctan2(goal.face[1] - xy[1], goal.face[0] - xy[0]))
+        return math.atan2(goal.face[1] - xy[1], goal.face[0] - xy[0])
 
     def _roomiest(self, home: str, cells: np.ndarray) -> np.ndarray:
         return cells[int(np.argmax(self.map(home).clearance_at(cells)))]

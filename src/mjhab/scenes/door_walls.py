@@ -8,6 +8,7 @@ door, and its length is drawn, too. All of it follows from the names of pack and
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -189,6 +190,6 @@ def _wall(panel: FloorPolygon, door: _Door, top: float) -> Geom:
     """The wall on the area of a panel, up to ``top`` [m]."""
     x, y = panel.corners.mean(axis=0).tolist()
     length = float(np.linalg.norm(panel.corners[1] - panel.corners[0]))
-    yaw = float(np.arctan2(door.axes[0, 1], door.axes[0, 0]))
+    yaw = math.atan2(door.axes[0, 1], door.axes[0, 0])
     size = (length / 2, THICKNESS_M / 2, top / 2)
     return Geom("box", size, (x, y, top / 2), about_z(yaw), _MATERIAL)

@@ -10,6 +10,7 @@ Frame of the object, lengths [m]. Letters: N samples, R rays, K pieces, M grasps
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -18,6 +19,7 @@ import trimesh
 from scipy.spatial import ConvexHull
 from trimesh.sample import sample_surface
 
+from mjhab.core.arithmetic.elementary import arccos
 from mjhab.core.rotations import frame_from_axes
 from mjhab.core.seeding import stream
 from mjhab.episodes.grasps.pinch import SurfaceGrasps
@@ -163,7 +165,7 @@ def _contact_pairs(
     sampled = sample_surface(solid.surface, SAMPLES, seed=rng)
     origins = np.repeat(np.asarray(sampled[0]), RAYS_PER_SAMPLE, axis=0)
     normals = np.repeat(solid.surface.face_normals[sampled[1]], RAYS_PER_SAMPLE, axis=0)
-    cone = min(float(np.arctan(friction)), MAX_SLANT_RAD)
+    cone = min(math.atan(friction), MAX_SLANT_RAD)
     directions = -_within_cone(normals, cone, rng)
     # The ray along the normal is always tried: opposite sides of a box are met by no other.
     directions[::RAYS_PER_SAMPLE] = -normals[::RAYS_PER_SAMPLE]
@@ -174,8 +176,8 @@ def _contact_pairs(
     directions = directions[outer]
     width, last_normal, behind = _through(solid, origins, directions)
     _, _, before = _through(solid, origins, -directions)
-    first = np.arccos(np.clip(-np.einsum("rj,rj->r", directions, normals), -1.0, 1.0))
-    second = np.arccos(np.clip(np.einsum("rj,rj->r", directions, last_normal), -1.0, 1.0))
+    first = arccos(np.clip(-np.einsum("rj,rj->r", directions, normals), -1.0, 1.0))
+    second = arccos(np.clip(np.einsum("rj,rj->r", directions, last_normal), -1.0, 1.0))
     slant = np.maximum(first, second)
     room = np.minimum(before, behind)
     play = np.minimum(room - gripper.thickness - CLEARANCE_M, MAX_PLAY_M)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -117,7 +118,7 @@ def _slanted_pinch(
     edge_depth = 2 * end.width * np.sin(slant)
     # An edge right at the fingertips would slip off.
     depth = max(edge_depth + SLANT_EDGE_M, SLANT_DEPTH_M)
-    width = 2 * end.width * np.cos(slant) + depth * np.tan(slant)
+    width = 2 * end.width * np.cos(slant) + depth * math.tan(slant)
     if depth > gripper.finger[0] - gripper.palm_x[1] - options.palm_gap:
         return None
     if width > gripper.opening - 2 * SLANT_PLAY_M:

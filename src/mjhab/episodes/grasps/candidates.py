@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from mjhab.core.arithmetic.elementary import arccos
 from mjhab.core.boxes import Boxes, nearest_box_distance
 from mjhab.core.rotations import frame_from_axes, mat_from_quat, quat_from_mat
 from mjhab.episodes.grasps.pinch import ObjectShape, Pinch, PinchOptions
@@ -305,7 +306,7 @@ def _score(
     options: PinchOptions,
 ) -> tuple[np.ndarray, np.ndarray]:
     approach = turn[:, :, 0]
-    fall = np.degrees(np.arccos(np.clip(-approach[:, 2], -1.0, 1.0)))
+    fall = np.degrees(arccos(np.clip(-approach[:, 2], -1.0, 1.0)))
     kind = np.where(fall <= 20.0, 0, np.where(fall < 70.0, 1, 2))
     score = (
         quality

@@ -12,6 +12,7 @@ from fnmatch import fnmatchcase
 
 import numpy as np
 
+from mjhab.core.arithmetic.elementary import arccos
 from mjhab.core.errors import UsageError, about, fault, unknown_name, wrong_value
 from mjhab.core.memory_cache import MemoryCache
 from mjhab.core.names import kind_of
@@ -249,7 +250,7 @@ class FileEpisodes:
         )
         upright = np.einsum("mi,mi->m", axis_before, axis_after)
         # Rounding can bring the product of unit vectors beyond 1.
-        rest = Rest(hab.instances, moved, np.arccos(np.clip(upright, -1.0, 1.0)))
+        rest = Rest(hab.instances, moved, arccos(np.clip(upright, -1.0, 1.0)))
         targets = file_targets(self.layout, home, hab, rested, root, self.task)
         return Episode(
             0, row, self.task, home.split, home.name, rested, after[a.link_q], targets

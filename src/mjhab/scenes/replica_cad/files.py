@@ -6,6 +6,7 @@ about x: (x, y, z) -> (x, -z, y).
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Any
 
@@ -171,7 +172,7 @@ def placement(path: Path, record: dict[str, Any], template: str, where: str) -> 
 
 def place(template: str, pos: np.ndarray, rotation: np.ndarray) -> Placement:
     """Make a placement from a position (3,) [m] and a rotation (3, 3); without a quaternion if it is upright."""
-    yaw = float(np.arctan2(rotation[1, 0], rotation[0, 0]))
+    yaw = math.atan2(rotation[1, 0], rotation[0, 0])
     tilted = (
         np.hypot(rotation[0, 2], rotation[1, 2]) > _MAX_LEVEL_TILT_RAD
         or rotation[2, 2] < 0

@@ -7,6 +7,7 @@ the data set (``urdf/kitchen_counter/drawer*.glb``, ``urdf/fridge/*_door.glb``),
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -238,9 +239,9 @@ def door(name: str, boxes: tuple[UrdfBox, ...]) -> tuple[tuple[UrdfBox, ...], Gr
 def _rib(rib: Rib, inner: float) -> UrdfBox:
     """The box of a rib: its outer face is tilted by about 1 deg, and its inner face is at x = ``inner`` in the door."""
     run = rib.straight[1] - rib.straight[0]
-    lean = float(np.arctan2(rib.front[1] - rib.front[0], run))
+    lean = math.atan2(rib.front[1] - rib.front[0], run)
     middle = ordered_sum(rib.z) / 2
-    front = rib.front[0] + np.tan(lean) * (middle - rib.straight[0])
+    front = rib.front[0] + math.tan(lean) * (middle - rib.straight[0])
     c = np.cos(lean)
     s = np.sin(lean)
     pose = np.eye(4)

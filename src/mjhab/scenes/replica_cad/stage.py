@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -198,7 +199,7 @@ def _depth(face: Face, faces: list[Face]) -> float:
 def _box(face: Face, depth: float) -> Geom:
     along = np.array([-face.normal[1], face.normal[0]])
     middle = face.normal * (face.offset - depth / 2) + along * ordered_sum(face.u) / 2
-    yaw = float(np.arctan2(face.normal[1], face.normal[0]))
+    yaw = math.atan2(face.normal[1], face.normal[0])
     size = (depth / 2, (face.u[1] - face.u[0]) / 2, (face.z[1] - face.z[0]) / 2)
     pos = (float(middle[0]), float(middle[1]), ordered_sum(face.z) / 2)
     return Geom(

@@ -22,6 +22,7 @@ MS-HAB doors pass through the stage.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -124,7 +125,7 @@ def _is_low(wall: Geom) -> bool:
 
 def _axes(wall: Geom) -> tuple[np.ndarray, np.ndarray]:
     """Horizontal unit axes (2,) of a wall box: across and along it."""
-    yaw = 2 * np.arctan2(wall.quat[3], wall.quat[0])
+    yaw = 2 * math.atan2(wall.quat[3], wall.quat[0])
     across = np.array([np.cos(yaw), np.sin(yaw)])
     return across, np.array([-across[1], across[0]])
 
@@ -200,7 +201,7 @@ def _panel(a: np.ndarray, b: np.ndarray, top: float) -> Geom:
     along = (b - a) / np.linalg.norm(b - a)
     inward = np.array([-along[1], along[0]])
     middle = (a + b) / 2 + inward * WALL_DEPTH_M / 2
-    yaw = float(np.arctan2(inward[1], inward[0]))
+    yaw = math.atan2(inward[1], inward[0])
     size = (WALL_DEPTH_M / 2, float(np.linalg.norm(b - a)) / 2, top / 2)
     quat = (float(np.cos(yaw / 2)), 0.0, 0.0, float(np.sin(yaw / 2)))
     return Geom(

@@ -8,6 +8,7 @@ import weakref
 import numpy as np
 from scipy.spatial import ConvexHull
 
+from mjhab.core.arithmetic.elementary import arctan2
 from mjhab.core.rotations import quat_from_mat, quat_mul, quat_rotate
 from mjhab.scenes.shapes.meshes import Mesh
 from mjhab.scenes.spec import Geom, Pack
@@ -41,7 +42,7 @@ def smallest_box(points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray
         flat = edges @ frame[:, :2]
         # A rectangle of least area has a side along an edge of the outline, which is a projected edge of the hull.
         angles = np.unique(
-            np.append(np.arctan2(flat[:, 1], flat[:, 0]) % (np.pi / 2), 0.0).round(6)
+            np.append(arctan2(flat[:, 1], flat[:, 0]) % (np.pi / 2), 0.0).round(6)
         )
         c = np.cos(angles)[:, None]
         s = np.sin(angles)[:, None]

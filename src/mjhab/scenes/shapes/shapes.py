@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 
+from mjhab.core.arithmetic.elementary import tan
 from mjhab.scenes.shapes.meshes import Mesh
 from mjhab.scenes.spec import IDENTITY, Geom, Quat, Vec3
 
@@ -149,7 +150,7 @@ def _rounded_side(
 
     def stops(k: int) -> np.ndarray:
         """Grid positions along an axis: the flat part as one cell, the rounded edges in steps of equal angle."""
-        rim = core[k] + radius * np.tan(np.linspace(0.0, math.pi / 4, steps + 1))
+        rim = core[k] + radius * tan(np.linspace(0.0, math.pi / 4, steps + 1))
         return np.concatenate([-rim[::-1], rim])
 
     grid_u, grid_v = np.meshgrid(stops(u), stops(v), indexing="ij")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -42,13 +43,13 @@ def simplify(vertices: np.ndarray, faces: np.ndarray, max_faces: int) -> Simplif
     side = _sides(vertices, faces)
     size = float(np.ptp(vertices, axis=0).max())
     # Bisected on a scale of ratios, since the number of faces goes with the square of the cell.
-    fine = np.log(_CELL_SHARES[1] * size)
-    coarse = np.log(_CELL_SHARES[0] * size)
+    fine = math.log(_CELL_SHARES[1] * size)
+    coarse = math.log(_CELL_SHARES[0] * size)
     # The coarsest one is the answer if no finer grid meets the budget.
-    best = _cluster(vertices, faces, side, float(np.exp(coarse)))
+    best = _cluster(vertices, faces, side, math.exp(coarse))
     for _ in range(_BISECTIONS):
         middle = (fine + coarse) / 2
-        found = _cluster(vertices, faces, side, float(np.exp(middle)))
+        found = _cluster(vertices, faces, side, math.exp(middle))
         if len(found[1]) <= max_faces:
             best = found
             coarse = middle

@@ -238,7 +238,9 @@ class Placer:
             pos = self._sample(rng, draw, place, radius, half_z)
             if (
                 pos is None
-                or not distance_m[0] <= np.linalg.norm(pos - start) <= distance_m[1]
+                or not distance_m[0]
+                <= np.linalg.norm(pos - start, axis=-1)
+                <= distance_m[1]
             ):
                 continue
             if self._is_free(draw, place, pos, (radius, draw.target_gap(place))):

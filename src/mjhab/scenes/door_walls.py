@@ -124,7 +124,7 @@ class _Door:
     def axes(self) -> np.ndarray:
         """(2, 2) rows: unit vectors in the world out of the front, and from the hinge away from the closed door."""
         out = np.array(self.link.handle.out[:2])
-        out = out / np.linalg.norm(out)
+        out = out / np.linalg.norm(out, axis=-1)
         away = np.array([out[1], -out[0]])
         # The handle is on the side of the door that is far from the hinge.
         away *= -np.sign(away @ np.array(self.link.handle.pos[:2]))
@@ -189,7 +189,7 @@ def _limits(home: Home, pack: Pack, wall: Geom) -> tuple[tuple[str, float], ...]
 def _wall(panel: FloorPolygon, door: _Door, top: float) -> Geom:
     """The wall on the area of a panel, up to ``top`` [m]."""
     x, y = panel.corners.mean(axis=0).tolist()
-    length = float(np.linalg.norm(panel.corners[1] - panel.corners[0]))
+    length = float(np.linalg.norm(panel.corners[1] - panel.corners[0], axis=-1))
     yaw = math.atan2(door.axes[0, 1], door.axes[0, 0])
     size = (length / 2, THICKNESS_M / 2, top / 2)
     return Geom("box", size, (x, y, top / 2), about_z(yaw), _MATERIAL)

@@ -73,6 +73,6 @@ def free_camera(camera: Any, look_at: Any, fov_deg: float) -> FreeCamera | None:
             raise missing_field("camera", advice="Say where it stands: --camera x,y,z")
         return None
     eye = place_of("camera", camera)
-    if np.linalg.norm(eye - target) < 1e-6:
+    if np.linalg.norm(eye - target, axis=-1) < 1e-6:
         raise wrong_value("look_at", look_at, "another place than that of the camera")
     return FreeCamera(eye, target, math.radians(fov_deg))

@@ -132,7 +132,7 @@ class FreeMap:
         along = np.asarray(dijkstra(graph, directed=False, indices=node))
         source = self.to_xy(np.array(divmod(node, self.blocked.shape[1])))
         # Only a goal off the free floor is replaced; within a cell the difference would be noise.
-        apart = float(np.linalg.norm(source - goal)) if off[x, y] else 0.0
+        apart = float(np.linalg.norm(source - goal, axis=-1)) if off[x, y] else 0.0
         # The centres of cells along x and y: the raster of all of them would be made anew for every goal.
         dx, dy = (
             (np.arange(count) + 0.5) * self.cell + start - at

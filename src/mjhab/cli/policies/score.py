@@ -10,7 +10,6 @@ from typing import Any
 from mjhab.cli.exits import stopped
 from mjhab.cli.output import Listing, print_json, report, tell_caution
 from mjhab.cli.policies.evaluate import ProgressSink
-from mjhab.core.arithmetic.digest import PLAIN_ARITHMETIC
 from mjhab.core.errors import fault
 from mjhab.core.files.cache import write_text
 from mjhab.core.files.interrupts import sigterm_interrupts
@@ -126,14 +125,8 @@ def _tell_incomplete(summary: Mapping[str, Any]) -> None:
     without = f"; none of {', '.join(empty)}" if empty else ""
     say(
         f"mjhab: incomplete: {summary['episodes']} episodes{without}; "
-        f"{summary['other_starts']} begin elsewhere than in the manifest"
+        f"{summary['other_starts']} begin elsewhere than in the manifest (other assets or versions?)"
     )
-    if summary["other_starts"]:
-        say(
-            "In homes of ReplicaCAD processors with AVX-512 compute other last bits; to have those of the manifest, "
-            f"set {' '.join(f'{name}={value!r}' for name, value in PLAIN_ARITHMETIC.items())} before the command "
-            "(docs/reproducibility.md). Otherwise the assets or versions are others."
-        )
 
 
 def run_check(spec: CheckSpec, json: bool) -> int:

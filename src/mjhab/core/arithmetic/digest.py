@@ -14,11 +14,6 @@ from mjhab.core.arithmetic.sums import ordered_sum
 
 LIBRARIES = ("mujoco", "numpy", "scipy", "numba", "trimesh")
 """Libraries whose version may change numbers that lie in the cache."""
-PLAIN_ARITHMETIC = {
-    "NPY_DISABLE_CPU_FEATURES": "X86_V4 AVX512_ICL AVX512_SPR",
-    "OPENBLAS_CORETYPE": "Haswell",
-}
-"""Environment variables with which NumPy computes on a processor with AVX-512 as on one without."""
 _PROBES = 512
 """Numbers that every elementary function is tried on; two implementations differ in the last bit of some."""
 _SIDE = 24

@@ -256,7 +256,7 @@ def _approaches(
     """Return the grasps of one pair of contacts: for each approach the deepest one without collision."""
     closing = pair.closing[0]
     start = np.cross(closing, np.eye(3)[np.argmin(np.abs(closing))])
-    start /= np.linalg.norm(start)
+    start /= np.linalg.norm(start, axis=-1)
     angle = np.arange(APPROACHES) * 2 * np.pi / APPROACHES
     directions = np.cos(angle)[:, None] * start + np.sin(angle)[:, None] * np.cross(
         closing, start

@@ -316,7 +316,7 @@ def _score(
     )
     if robot_xy is not None:
         away = pos[:2] - np.asarray(robot_xy, dtype=np.float64)[:2]
-        away = away / max(float(np.linalg.norm(away)), 1e-6)
+        away = away / max(float(np.linalg.norm(away, axis=-1)), 1e-6)
         score = score + 0.8 * approach[:, :2] @ away
     return kind, score
 

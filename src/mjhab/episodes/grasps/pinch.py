@@ -142,7 +142,7 @@ def fan_of(closing: np.ndarray, start: np.ndarray, count: int) -> np.ndarray:
     """Return ``count`` unit directions of approach (A, 3) around a closing line, without those from below."""
     u = start - closing * (start @ closing)
     # Only the part of the start across the closing line gives a direction of approach.
-    u = u / np.linalg.norm(u)
+    u = u / np.linalg.norm(u, axis=-1)
     angle = np.arange(count) * 2 * np.pi / count
     fan = np.cos(angle)[:, None] * u + np.sin(angle)[:, None] * np.cross(closing, u)
     return fan[fan[:, 2] <= MAX_APPROACH_RISE]

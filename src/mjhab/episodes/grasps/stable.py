@@ -193,7 +193,7 @@ class StableGrasps:
         good = (
             pose.shape == (7,)
             and np.isfinite(pose).all()
-            and abs(np.linalg.norm(pose[3:]) - 1.0) <= 1e-3
+            and abs(np.linalg.norm(pose[3:], axis=-1) - 1.0) <= 1e-3
         )
         check(
             bool(good),
@@ -349,7 +349,7 @@ class StableGrasps:
         )
         return (
             StableGrasp(*held)
-            if held is not None and np.linalg.norm(held[0][:3]) <= MAX_OFFSET_M
+            if held is not None and np.linalg.norm(held[0][:3], axis=-1) <= MAX_OFFSET_M
             else None
         )
 

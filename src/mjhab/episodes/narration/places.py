@@ -210,7 +210,7 @@ def _front(links: Sequence[Link]) -> np.ndarray | None:
     if not links:
         return None
     out = np.sum([link.handle.out[:2] for link in links], axis=0)
-    length = float(np.linalg.norm(out))
+    length = float(np.linalg.norm(out, axis=-1))
     # Handles that point to all sides cancel out: such furniture has no front.
     return out / length if length > 0.5 else None
 

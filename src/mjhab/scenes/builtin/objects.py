@@ -338,7 +338,7 @@ def _icosphere() -> np.ndarray:
         (corners[i] + corners[j]) / 2
         for i in range(12)
         for j in range(i)
-        if abs(np.linalg.norm(corners[i] - corners[j]) - 2.0) < 1e-6
+        if abs(np.linalg.norm(corners[i] - corners[j], axis=-1) - 2.0) < 1e-6
     ]
     points = np.concatenate([corners, np.array(edges)])
     # Midpoints of edges lie inside of the sphere.

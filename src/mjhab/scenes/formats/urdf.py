@@ -232,11 +232,11 @@ def _joint(path: Path, element: ElementTree.Element) -> UrdfJoint:
         limit = element.find("limit")
         if given is not None:
             axis = _numbers(path, f"joint {name!r}: axis", given.get("xyz"), 3)
-        if limit is None or not np.linalg.norm(axis):
+        if limit is None or not np.linalg.norm(axis, axis=-1):
             raise fault(
                 path, f"joint {name!r}: needs a <limit> and an axis that is not zero."
             )
-        axis = axis / np.linalg.norm(axis)
+        axis = axis / np.linalg.norm(axis, axis=-1)
         low, high = (
             float(_numbers(path, f"joint {name!r}: {k} limit", limit.get(k, "0"), 1)[0])
             for k in ("lower", "upper")

@@ -154,9 +154,9 @@ def rotation(path: Path, record: dict[str, Any], where: str) -> np.ndarray:
         return np.eye(3)
     given = numbers(path, record, "rotation", 4, where)
     # Files have few digits, so that lengths differ from 1 a little; near 0 there is no direction.
-    if np.linalg.norm(given) < _MIN_QUATERNION_LENGTH:
+    if np.linalg.norm(given, axis=-1) < _MIN_QUATERNION_LENGTH:
         raise fault(path, f"field {where}.rotation: not a quaternion: {given.tolist()}.")
-    return mat_from_quat(given / np.linalg.norm(given))
+    return mat_from_quat(given / np.linalg.norm(given, axis=-1))
 
 
 def placement(path: Path, record: dict[str, Any], template: str, where: str) -> Placement:

@@ -198,11 +198,11 @@ def _shell(triangles: np.ndarray, top: float) -> list[Geom]:
 
 def _panel(a: np.ndarray, b: np.ndarray, top: float) -> Geom:
     """Wall from ``a`` to ``b`` (2,) [m], to the left of this line."""
-    along = (b - a) / np.linalg.norm(b - a)
+    along = (b - a) / np.linalg.norm(b - a, axis=-1)
     inward = np.array([-along[1], along[0]])
     middle = (a + b) / 2 + inward * WALL_DEPTH_M / 2
     yaw = math.atan2(inward[1], inward[0])
-    size = (WALL_DEPTH_M / 2, float(np.linalg.norm(b - a)) / 2, top / 2)
+    size = (WALL_DEPTH_M / 2, float(np.linalg.norm(b - a, axis=-1)) / 2, top / 2)
     quat = (float(np.cos(yaw / 2)), 0.0, 0.0, float(np.sin(yaw / 2)))
     return Geom(
         "box", size, (float(middle[0]), float(middle[1]), top / 2), quat, MATERIAL

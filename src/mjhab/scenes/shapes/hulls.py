@@ -34,9 +34,9 @@ def smallest_box(points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray
     best: tuple[float, np.ndarray] | None = None
     # The axes first: of equal boxes the one along the axes is kept.
     for normal in np.concatenate([np.eye(3), normals]):
-        z = normal / np.linalg.norm(normal)
+        z = normal / np.linalg.norm(normal, axis=-1)
         x = np.cross(z, np.eye(3)[np.argmin(np.abs(z))])
-        x /= np.linalg.norm(x)
+        x /= np.linalg.norm(x, axis=-1)
         frame = np.stack([x, np.cross(z, x), z], axis=1)
         local = corners @ frame
         flat = edges @ frame[:, :2]

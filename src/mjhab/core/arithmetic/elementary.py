@@ -1,8 +1,8 @@
 """Elementary functions of arrays, whose last bits are those of the C library on every processor.
 
 With AVX-512 NumPy takes other code for float64 `arctan2`, `power`, `exp`, `log`, `tan` and the inverse functions of
-angles, with other last bits than on a processor without; `sin` and `cos` are the same. Products of two vectors, and norms
-of one without ``axis``, are those of BLAS, whose last bits differ as well. What decides where an episode begins takes
+angles, with other last bits than on a processor without; `sin` and `cos` are the same. Products of two vectors, and
+norms of one without ``axis``, are those of BLAS, whose last bits differ as well. What decides where an episode begins takes
 these functions, or `math` for single numbers; ``tests/bits/test_source.py`` asks for it.
 """
 

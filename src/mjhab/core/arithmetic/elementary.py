@@ -2,8 +2,8 @@
 
 With AVX-512 NumPy takes other code for float64 `arctan2`, `power`, `exp`, `log`, `tan` and the inverse functions of
 angles, with other last bits than on a processor without; `sin` and `cos` are the same. Products of two vectors, and
-norms of one without ``axis``, are those of BLAS, whose last bits differ as well. What decides where an episode begins takes
-these functions, or `math` for single numbers; ``tests/bits/test_source.py`` asks for it.
+norms of one without ``axis``, are those of BLAS, whose last bits differ as well. What decides where an episode begins
+takes these functions, or `math` for single numbers; ``tests/bits/test_source.py`` asks for it.
 """
 
 from __future__ import annotations

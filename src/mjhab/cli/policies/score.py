@@ -125,7 +125,7 @@ def _tell_incomplete(summary: Mapping[str, Any]) -> None:
     without = f"; none of {', '.join(empty)}" if empty else ""
     say(
         f"mjhab: incomplete: {summary['episodes']} episodes{without}; "
-        f"{summary['other_starts']} begin elsewhere than in the manifest (other assets or versions?)"
+        f"{summary['other_starts']} begin elsewhere than in the manifest"
     )
 
 

@@ -500,21 +500,22 @@ def _from_states(config: ReinforcementConfig) -> ReinforcementConfig:
     )
 
 
+POLISHING = PpoConfig(
+    epochs=3,
+    gamma=0.99,
+    learning_rate=2e-5,
+    critic_learning_rate=1e-3,
+    desired_kl=0.005,
+    target_kl=0.03,
+    initial_std=0.05,
+    state_std=True,
+    critic_updates=20,
+)
 POLISH_PPO = dataclasses.replace(
     SCRATCH_PPO,
     preset="polish",
     inputs=DEPTH_INPUTS,
-    ppo=PpoConfig(
-        epochs=3,
-        gamma=0.99,
-        learning_rate=2e-5,
-        critic_learning_rate=1e-3,
-        desired_kl=0.005,
-        target_kl=0.03,
-        initial_std=0.05,
-        state_std=True,
-        critic_updates=20,
-    ),
+    ppo=POLISHING,
     worlds=64,
     horizon=200,
     episode_pool=1000,
@@ -529,19 +530,14 @@ POLISH_PPO = dataclasses.replace(
 REFINE_PPO = dataclasses.replace(
     POLISH_PPO,
     preset="refine",
-    ppo=PpoConfig(
+    ppo=dataclasses.replace(
+        POLISHING,
         epochs=2,
         rollout_steps=64,
         minibatches=8,
-        gamma=0.99,
         learning_rate=2e-6,
         least_learning_rate=1e-6,
-        critic_learning_rate=1e-3,
         desired_kl=0.008,
-        target_kl=0.03,
-        initial_std=0.05,
-        state_std=True,
-        critic_updates=20,
         average=0.95,
     ),
     force_cost=3.0,
@@ -552,7 +548,7 @@ REFINE_PPO = dataclasses.replace(
     checkpoint_samples=100_000,
     eval_samples=500_000,
 )
-"""For a policy that "polish" makes no better: the weights move a tenth as far in an update, and what is paid is success
+"""For a policy that "polish" makes no better: it begins with a tenth of the learning rate, and what is paid is success
 that lasts to the end, without force (docs/results/reinforcement.md)."""
 
 

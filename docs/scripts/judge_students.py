@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from mjhab.core.version import __version__
+from mjhab.evaluation.resolve import LEARNED
 from mjhab.reports.metrics import wilson
 from mjhab.reports.students import pack_name
 from mjhab.scenes.pack_source import pack_request
@@ -41,15 +42,15 @@ and after "?stage=" its walls, if it has any."""
 
 
 def command(
-    row: dict[str, Any], episodes: int, assets: Sequence[str], folder: Path
+    row: dict[str, Any], episodes: int, told: Sequence[str], folder: Path
 ) -> list[str]:
-    """`mjhab eval` of a row."""
-    words = [sys.executable, "-m", "mjhab", "eval", "--policy", "learned"]
+    """`mjhab eval` of a row; ``told``: the policy, and the pack."""
+    words = [sys.executable, "-m", "mjhab", "eval"]
     words += ["--task", row["task"], "--split", row["split"], "--seed", str(row["seed"])]
     for name in ("subtask", "target"):
         words += [f"--{name}", row[name]] if row[name] else []
     words += [
-        *assets,
+        *told,
         "--profile",
         "ms_hab",
         "--episodes",
@@ -134,6 +135,7 @@ def pack_of(options: argparse.Namespace) -> str:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--policy", default=LEARNED, help="learned, or learned:NAME")
     parser.add_argument(
         "--assets", default="builtin", help="builtin, or FOLDER of a pack"
     )
@@ -144,8 +146,8 @@ def main() -> None:
     parser.add_argument("--chains", type=int, default=50)
     parser.add_argument("--only", nargs="+", default=[""], help="such as set_table/open")
     options = parser.parse_args()
-    assets = ["--assets", options.assets]
-    assets += ["--stage", options.stage] if options.stage else []
+    told = ["--policy", options.policy, "--assets", options.assets]
+    told += ["--stage", options.stage] if options.stage else []
     head = ["git", "rev-parse", "HEAD"]
     commit = subprocess.run(head, capture_output=True, text=True).stdout.strip()
     for row, count in wanted(options):
@@ -153,7 +155,7 @@ def main() -> None:
         folder = options.out / name
         print(name, flush=True)
         done = subprocess.run(
-            command(row, count, assets, folder), stdout=subprocess.DEVNULL
+            command(row, count, told, folder), stdout=subprocess.DEVNULL
         )
         if done.returncode:
             sys.exit(done.returncode)

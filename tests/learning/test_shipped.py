@@ -147,6 +147,26 @@ def test_the_students_of_a_task_act_in_turn(shelf: Path) -> None:
     )
 
 
+def test_a_file_of_policies_has_a_name_of_its_own(shelf: Path) -> None:
+    path = next(shelf.glob("*.safetensors"))
+    entries = [
+        {"subtask": "close", "target": CLOSE["target"], "checkpoint": path.name},
+        {"subtask": "pick", "target": "", "checkpoint": "expert", "task": "tidy_house"},
+    ]
+    (shelf / "elsewhere.json").write_text(json.dumps({"policies": entries}))
+    (shelf / "index.json").write_text("{}")
+    assert list(shipped_kind.policy_files()) == ["elsewhere"]
+    spec = EvalSpec.of("learned:elsewhere", **CLOSE)
+    assert spec.policy == "learned:elsewhere"
+    assert inspect_policy(spec.policy).name == "learned:elsewhere"
+    env = fake_env(1)
+    vars(env.config).update(CLOSE, navigate="teleport")
+    assert resolve_policy(spec.policy, env).name == "policies"
+    env.config.subtask = "open"
+    with refused(said="has no policy for set_table open"):
+        resolve_policy(spec.policy, env)
+
+
 def test_the_old_name_finds_the_same_and_stays_the_name_of_its_runs(
     shelf: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

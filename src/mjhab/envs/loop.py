@@ -13,12 +13,11 @@ from __future__ import annotations
 
 import dataclasses
 import operator
-from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from typing import Any, Protocol
+from typing import Any
 
 from gymnasium.envs.registration import EnvSpec
-from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 
 from mjhab.config.env import NESTED, EnvConfig
@@ -34,11 +33,11 @@ from mjhab.core.arrays import (
 )
 from mjhab.core.conventions.names import WRAPPED, Conventions
 from mjhab.core.errors import UsageError, unknown_name, wrong_value
+from mjhab.envs.backend import BackendWorlds, StepEvents
 from mjhab.envs.episode_length import with_episode_length
 from mjhab.envs.observations.modes import STATE_KEY
 from mjhab.envs.observations.state import state_observation
-from mjhab.envs.parts.observing import ObservedRows
-from mjhab.envs.parts.plan_tables import Focus, Tables, look_up
+from mjhab.envs.parts.plan_tables import Focus, look_up
 from mjhab.envs.parts.reporting import CHECKERS
 from mjhab.envs.parts.rewarding import GoalDistance, Rewarder, RewardInputs, RewardRules
 from mjhab.envs.parts.sensing import Sensing
@@ -63,27 +62,11 @@ from mjhab.tasks.subtasks.registry import properties
 _checkers = operator.attrgetter(*CHECKERS)
 
 
-class StepEvents(Protocol):
-    """Events of one control step, and the records of subtasks that ended in it, as entries of `info`."""
-
-    def entries(self) -> dict[str, Any]:
-        """Entries of `info`."""
-        ...
-
-
-class SubtaskNotes(Protocol):
-    """Signals of the active subtask of every world, collected for its label and events."""
-
-    def begin(self, mask: Any, signals: Signals, progress: Progress) -> None:
-        """Discard the notes of the worlds in ``mask`` (W,) bool; begin with the signals at their subtask's start."""
-        ...
-
-
-class TaskLoop(VectorEnv, ABC):
+class TaskLoop(BackendWorlds):
     """Base class of the vector environments of all backends: W worlds of the HAB tasks that step together.
 
-    A subclass sets ``sim``, ``tables`` and ``tracker`` and implements the abstract methods. Arrays (W, ...) that were
-    returned are never modified afterwards.
+    A subclass sets the attributes of `BackendWorlds` and implements its methods. Arrays (W, ...) that were returned are
+    never modified afterwards.
 
     The attributes ``state``, ``signals``, ``progress`` and ``focus`` describe the present state. ``outcome_signals``
     holds the signals from which success was computed in the last step. It differs from ``signals`` in worlds that
@@ -93,12 +76,6 @@ class TaskLoop(VectorEnv, ABC):
         config: options of the environment.
         like: an array of the simulator's library, device and float type.
     """
-
-    sim: Any
-    """Simulator of the worlds: a `CpuSimulator`, on a device a `WarpSimulator`."""
-    observer: ObservedRows
-    tables: Tables
-    tracker: SubtaskNotes
 
     def __init__(self, config: EnvConfig, like: Array) -> None:
         self.config = config
@@ -215,70 +192,6 @@ class TaskLoop(VectorEnv, ABC):
             "measure": [(self, "_sense"), (self, "_measure")],
             "reward": [(self.rewarder, "step")],
         }
-
-    # -- what differs between backends -----------------------------------------------------------------------------
-
-    @abstractmethod
-    def _reseed(self, seed: Any, mask: Array) -> None:
-        """Set the seed of the next episodes in the worlds of ``mask`` (W,); None keeps the present one."""
-
-    @abstractmethod
-    def _next_episodes(self) -> Array:
-        """(W,) int64: index of the episode that each world begins at its next automatic reset."""
-
-    @abstractmethod
-    def _chosen_episodes(self, wanted: Any, mask: Array) -> Array:
-        """Scatter the episode indices ``wanted``, one per world of ``mask``, to an array (W,) int64, and check them."""
-
-    @abstractmethod
-    def _adopt(self, fresh: Array, episodes: Array) -> None:
-        """Set all data of an episode in the worlds ``fresh`` (W,) to those of ``episodes`` (W,): rows of ``tables``,
-        ``fallback`` and so on."""
-
-    @abstractmethod
-    def _place(self, fresh: Array, moved: Array) -> Array:
-        """Set the physics of worlds to the start state of their subtask.
-
-        Args:
-            fresh: (W,) bool, worlds that begin an episode.
-            moved: (W,) bool, worlds that begin the next subtask of their episode, none of them ``fresh``.
-
-        Returns:
-            (W,) bool, worlds whose physics state was changed.
-        """
-
-    @abstractmethod
-    def _checked(self, actions: Any) -> Array:
-        """Check shape and type of the actions and return a copy (W, A) float32."""
-
-    @abstractmethod
-    def _simulate(self, ctrl: Array) -> Array:
-        """Advance physics under ``ctrl`` (W, nu).
-
-        Returns:
-            (W,) bool, worlds whose state became NaN or infinite and was set back to that before the step.
-        """
-
-    @abstractmethod
-    def _note(
-        self, signals: Signals, outcome: StepOutcome, progress: Progress
-    ) -> StepEvents:
-        """Update the tracker with a step and its ``outcome``; ``progress`` is that before the pointer advances."""
-
-    @abstractmethod
-    def _nothing(self) -> StepEvents:
-        """Notes of a step without events and without ended subtasks."""
-
-    @abstractmethod
-    def _observe(
-        self, known: dict[str, Array] | None = None, changed: Array | None = None
-    ) -> dict:
-        """Observations of the present state.
-
-        Args:
-            known: observations from earlier in this step.
-            changed: (W,) bool, worlds whose physics state has changed since; only their images are rendered again.
-        """
 
     # -- reset -----------------------------------------------------------------------------------------------------
 
@@ -424,7 +337,7 @@ class TaskLoop(VectorEnv, ABC):
         )
         signals = self._measure(world, progress)
         if may_hold(broken):
-            progress, signals = _give_up(broken, progress, signals)
+            progress, signals = progress_rules.give_up(broken, progress, signals)
         tables = self.tables.arrays
         new, outcome = progress_rules.advance(progress, signals, tables, self.task_config)
         inputs = self._reward_inputs(world, signals, new)
@@ -559,14 +472,3 @@ class TaskLoop(VectorEnv, ABC):
         info.update(zip(CHECKERS, _checkers(signals), strict=True))
         info.update(events.entries())
         return info
-
-
-def _give_up(
-    broken: Array, progress: Progress, signals: Signals
-) -> tuple[Progress, Signals]:
-    """Set the remaining steps of the worlds in ``broken`` to 0 and their success to False."""
-    left = namespace(broken).where(broken, 0, progress.steps_left)
-    success = signals.success & ~broken
-    return dataclasses.replace(progress, steps_left=left), dataclasses.replace(
-        signals, success=success
-    )

@@ -3,7 +3,7 @@
 `evaluation.resolve.full_spec` adds the subtask to "learned", for instance ``learned:set_table/close/fridge/top_door``.
 Without a subtask the students of a task's subtasks act in turn; where the robot is not teleported and the task has no
 student of Navigate, the expert drives. "learned:NAME" is the checkpoint of that name, whatever is to be done: one that
-reads the sentence.
+reads the sentence; or the policies of a file of that name, one for each subtask.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from mjhab.core.errors import unknown_name
 from mjhab.core.files.reading import read_json_object
 from mjhab.evaluation.resolve import (
     EXPERT,
+    POLICIES_SUFFIX,
     NoPolicyError,
     OpenedPolicy,
     PolicyFacts,
@@ -26,7 +27,7 @@ from mjhab.evaluation.resolve import (
     open_policy,
 )
 from mjhab.learning.assigned.entries import Entry, trained_for
-from mjhab.learning.by_subtask import PoliciesTogether
+from mjhab.learning.by_subtask import PoliciesFile, PoliciesTogether
 from mjhab.learning.policy_kind import AND, CHECKPOINT_SUFFIX, CheckpointFiles
 from mjhab.learning.require import require_learn
 from mjhab.rollout.policy import Policy, RolloutEnv
@@ -57,6 +58,12 @@ def shipped() -> dict[str, str]:
         )
         for name in sorted(alone | set(together))
     }
+
+
+def policy_files() -> dict[str, Path]:
+    """The package's files of policies by name, see `by_subtask.PoliciesFile`: those for homes of another pack."""
+    found = sorted(FOLDER.glob(f"*{POLICIES_SUFFIX}"))
+    return {path.stem: path for path in found if path.name != INDEX}
 
 
 def shipped_path(task: str, subtask: str, target: str) -> str:
@@ -159,7 +166,7 @@ class ShippedPolicy(OpenedPolicy):
     def _name(self) -> str:
         """The name that was used, so that runs under the old one can go on."""
         head, _, tail = self.spec.partition(":")
-        return self.spec if tail in shipped() else head
+        return self.spec if tail in {*shipped(), *policy_files()} else head
 
     @cached_property
     def _found(self) -> OpenedPolicy:
@@ -167,6 +174,8 @@ class ShippedPolicy(OpenedPolicy):
         # A name of its own comes before task and subtask.
         if told in shipped():
             return CheckpointFiles(shipped()[told])
+        if told in policy_files():
+            return PoliciesFile(str(policy_files()[told]))
         wanted = Wanted.parse(told)
         if not wanted.subtask:
             return ShippedTask(self._name, wanted.task)

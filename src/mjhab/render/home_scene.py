@@ -12,14 +12,8 @@ from mjhab.core.rotations import mat_from_quat
 from mjhab.render.layout_scene import build_render_scene
 from mjhab.render.pictures.follow_camera import FollowCamera
 from mjhab.render.raster.arrays import DIVERGED_BEYOND_M
-from mjhab.render.raster.rasterizer import (
-    FAST,
-    FILM,
-    Cameras,
-    QualityName,
-    Rasterizer,
-    look_at,
-)
+from mjhab.render.raster.cameras import Cameras, look_at
+from mjhab.render.raster.rasterizer import FAST, FILM, QualityName, Rasterizer
 from mjhab.scenes.shading import Shading
 from mjhab.sim.mujoco.cpu import CpuSimulator
 from mjhab.sim.protocol import SimState

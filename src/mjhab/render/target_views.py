@@ -21,7 +21,7 @@ from mjhab.render.home_scene import (
     ViewChange,
     is_sane,
 )
-from mjhab.render.raster.rasterizer import Cameras
+from mjhab.render.raster.cameras import Cameras
 
 FOV = 0.5
 """Field of view [rad] of both sides."""
@@ -103,10 +103,8 @@ def target_views(
     look, distance = turned(pos[worlds, columns], own, target[worlds])
     # Columns of ``look`` are axes in the world; those of the relative rotation are axes in the robot's camera.
     relative = np.stack([_in_frame(own, look[:, :, k]) for k in range(3)], axis=2)
-    wide = np.full(len(worlds), FOV)
-    mounts = None if perturbed is None else perturbed.change.mounts
-    eye = pos[worlds, columns]
-    if mounts is not None:
+    eye, wide = pos[worlds, columns], np.full(len(worlds), FOV)
+    if perturbed is not None and (mounts := perturbed.change.mounts) is not None:
         one = CameraChange(*(part[worlds, columns][:, None] for part in mounts))
         moved = one.applied(eye[:, None], own[:, None], wide[:, None])
         eye, moved_own, wide = (part[:, 0] for part in moved)

@@ -130,6 +130,15 @@ def accumulate(progress: Progress, robot_force: Array, fingers_force: Array) -> 
     )
 
 
+def give_up(
+    broken: Array, progress: Progress, signals: Signals
+) -> tuple[Progress, Signals]:
+    """Set the remaining steps of the worlds in ``broken`` (W,) bool to 0 and their success to False."""
+    left = namespace(broken).where(broken, 0, progress.steps_left)
+    success = signals.success & ~broken
+    return replace(progress, steps_left=left), replace(signals, success=success)
+
+
 def advance(
     progress: Progress, signals: Signals, plan: PlanArrays, config: TaskConfig
 ) -> tuple[Progress, StepOutcome]:

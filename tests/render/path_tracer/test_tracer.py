@@ -18,7 +18,8 @@ from mjhab.render.path_tracer.windows import (
     open_windows,
     skylights,
 )
-from mjhab.render.raster.rasterizer import Cameras, Rasterizer, look_at
+from mjhab.render.raster.cameras import Cameras, look_at
+from mjhab.render.raster.rasterizer import Rasterizer
 from mjhab.scenes.builtin.materials import Material
 from mjhab.scenes.builtin.pack import builtin_pack
 from mjhab.scenes.shading import CUDA, EVENING, LLVM, MIDDAY, Shading, shading_of

@@ -9,7 +9,8 @@ import pytest
 
 from mjhab.render.build_scene import SceneBuilder
 from mjhab.render.models import home_models
-from mjhab.render.raster.rasterizer import Cameras, Rasterizer, look_at
+from mjhab.render.raster.cameras import Cameras, look_at
+from mjhab.render.raster.rasterizer import Rasterizer
 from mjhab.scenes.replica_cad.looks import MeshFiles
 from mjhab.scenes.shapes.meshes import Mesh
 from tests.render.own_meshes import CUBES, HALF_M, cube

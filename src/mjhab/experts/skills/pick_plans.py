@@ -95,26 +95,10 @@ def plan_pick(
         None if no grasp can be reached.
     """
     pose = view.object_pose(obj)
-    shape = view.object_shape(obj)
     scene = scene_of(view, obj)
     depth = inside_depth(view, pose[:3])
     around = scene.beside.near(pose[:3], 0.5)
-    if depth:
-        every = shelf_grasps(
-            shape,
-            pose,
-            scene,
-            direction_to(view, pose),
-            around,
-            GRASP_CLEARANCES_M[-1][0],
-        )
-    else:
-        every = grasp_candidates(
-            LyingObject.of(shape, pose, scene.support_z),
-            neighbours=around,
-            gripper=view.robot.gripper,
-            options=OPTIONS,
-        )
+    every = _grasps_of(view, obj, scene, around, bool(depth))
     every = balanced(of_kind(every, wish), pose[:3])
     # On open surfaces the clearance of the fingers is enough; below a board the wrist is what collides.
     clearance = hand_clearance(view.robot.gripper, every, around) if depth else None
@@ -151,6 +135,28 @@ def plan_pick(
             if best is not None and (not depth or best[0].route.clearance >= 0.0):
                 return clearer(view, best, blocked)
     return clearer(view, best, blocked)
+
+
+def _grasps_of(
+    view: WorldView, obj: str, scene: ReachScene, around: Boxes, inside: bool
+) -> Grasps:
+    """Grasps of an object, which is ``inside`` of furniture or on it, with the boxes ``around`` it."""
+    shape, pose = view.object_shape(obj), view.object_pose(obj)
+    if inside:
+        return shelf_grasps(
+            shape,
+            pose,
+            scene,
+            direction_to(view, pose),
+            around,
+            GRASP_CLEARANCES_M[-1][0],
+        )
+    return grasp_candidates(
+        LyingObject.of(shape, pose, scene.support_z),
+        neighbours=around,
+        gripper=view.robot.gripper,
+        options=OPTIONS,
+    )
 
 
 def shelf_grasps(

@@ -230,6 +230,44 @@ def joined(
     Raises:
         UsageError: a member would lose images.
     """
+    made = _joined_network(members, routes, views)
+    trunk = made.trunk
+    assert isinstance(trunk, RoutedTrunk)
+    width = trunk.width // len(members)
+    known = {
+        key: encoder
+        for member in reversed(members)
+        for key, encoder in member.encoders.items()
+    }
+    with torch.no_grad():
+        # Columns of the members that do not act must add nothing; actions are given unnormalized, as heads of members
+        # give them.
+        made.head.weight.zero_()
+        made.head.bias.zero_()
+        for number, member in enumerate(members):
+            expert = trunk.experts[number]
+            assert isinstance(expert, Trunk)
+            # The gate never sends the routes of others here, so that any code would do.
+            codes = [
+                member.code(route) if route.member == number else member.unasked
+                for route in routes
+            ]
+            keys = keys_of(made.config.inputs, made.config.network.experts[number])
+            seen = {key: known.get(key) for key in keys}
+            _take_over(expert, member, codes, seen)
+            weight, bias = member.head
+            rows = len(made.head.weight)
+            mine = made.head.weight[:, number * width : (number + 1) * width]
+            # Column 0 of a member's features is 1 where it acts, so that its bias is switched as well.
+            mine[:, 0] = bias[:rows]
+            mine[:, 1:] = weight[:rows]
+    return made.eval().requires_grad_(False)
+
+
+def _joined_network(
+    members: Sequence[Member], routes: Sequence[KnownRequest], views: str
+) -> BehaviourCloning:
+    """The network of a joined policy, with random weights; arguments and errors as `joined`."""
     first = members[0].student
     for member in members:
         if views and any(
@@ -265,36 +303,7 @@ def joined(
     )
     made = make_student(config, layout)
     assert isinstance(made, BehaviourCloning)
-    trunk = made.trunk
-    assert isinstance(trunk, RoutedTrunk)
-    width = trunk.width // len(members)
-    known = {
-        key: encoder
-        for member in reversed(members)
-        for key, encoder in member.encoders.items()
-    }
-    with torch.no_grad():
-        # Columns of the members that do not act must add nothing; actions are given unnormalized, as heads of members
-        # give them.
-        made.head.weight.zero_()
-        made.head.bias.zero_()
-        for number, member in enumerate(members):
-            expert = trunk.experts[number]
-            assert isinstance(expert, Trunk)
-            # The gate never sends the routes of others here, so that any code would do.
-            codes = [
-                member.code(route) if route.member == number else member.unasked
-                for route in routes
-            ]
-            seen = {key: known.get(key) for key in keys_of(inputs, named[number])}
-            _take_over(expert, member, codes, seen)
-            weight, bias = member.head
-            rows = len(made.head.weight)
-            mine = made.head.weight[:, number * width : (number + 1) * width]
-            # Column 0 of a member's features is 1 where it acts, so that its bias is switched as well.
-            mine[:, 0] = bias[:rows]
-            mine[:, 1:] = weight[:rows]
-    return made.eval().requires_grad_(False)
+    return made
 
 
 def _take_over(

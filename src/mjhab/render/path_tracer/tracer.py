@@ -12,7 +12,8 @@ from mjhab.render.models import srgb_bytes
 from mjhab.render.path_tracer.library import denoise, mitsuba
 from mjhab.render.path_tracer.lights import TIMES
 from mjhab.render.path_tracer.traced_home import PlacedHome, TracedHome
-from mjhab.render.raster.rasterizer import NEAR, Cameras
+from mjhab.render.raster.cameras import Cameras
+from mjhab.render.raster.rasterizer import NEAR
 from mjhab.render.raster.shading import compressed
 from mjhab.render.render_scene import RenderScene
 from mjhab.scenes.shading import Shading

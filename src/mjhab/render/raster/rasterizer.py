@@ -6,19 +6,18 @@ import threading
 from collections import OrderedDict
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from mjhab.core.errors import UsageError, unknown_name
+from mjhab.core.errors import unknown_name
 from mjhab.core.kernels.arrays import read_only
 from mjhab.core.machine import cores
 from mjhab.core.typed.checks import check, check_least, check_shape
 from mjhab.render.lanes import LANES, z_buffer
 from mjhab.render.raster.arrays import Bodies, Lens, make_scratch
 from mjhab.render.raster.batch import ThreadBuffers, ViewBatch, draw_worlds
+from mjhab.render.raster.cameras import LEVEL_ERROR, Cameras
 from mjhab.render.raster.kernels import draw, read_depth, read_segments
 from mjhab.render.raster.lighting import SHADOW_SLOPE
 from mjhab.render.raster.nodes import Openness
@@ -31,8 +30,6 @@ from mjhab.render.render_scene import RenderScene
 OUTPUTS = ("rgb", "depth", "seg")
 NEAR = 0.01
 """Near plane [m], as in the cameras of MS-HAB."""
-LEVEL_ERROR = 0.06
-"""Default error allowed to levels of detail [px]; too small to be visible, also in supersampled images."""
 SHADOW_SIZE = 512
 """Side of a shadow map [texels]."""
 SHADOW_MAPS_KEPT = 64
@@ -73,53 +70,6 @@ MOVING = 2
 """``which`` of `kernels.draw`: instances attached to bodies."""
 SIZES_KEPT = 6
 """Number of image sizes for which a thread keeps buffers."""
-
-
-def look_at(
-    eye: ArrayLike, target: ArrayLike, up: ArrayLike = (0.0, 0.0, 1.0)
-) -> np.ndarray:
-    """Compute the orientation of a camera at ``eye`` that looks at ``target``, in MuJoCo's convention.
-
-    Args:
-        eye, target: (3,) in the world [m].
-        up: (3,) direction that is upwards in the image; may be parallel to the line of sight.
-
-    Returns:
-        (3, 3) whose columns are the camera's axes in the world: x right, y up, z backwards.
-
-    Raises:
-        UsageError: ``eye`` and ``target`` coincide.
-    """
-    back = np.asarray(eye, float) - np.asarray(target, float)
-    if np.linalg.norm(back) < 1e-9:
-        raise UsageError(
-            "look_at: eye and target are the same point; give two different points."
-        )
-    back /= np.linalg.norm(back)
-    right = np.cross(np.asarray(up, float), back)
-    if np.linalg.norm(right) < 1e-6:
-        right = np.cross((0.0, 1.0, 0.0) if abs(back[1]) < 0.9 else (1.0, 0.0, 0.0), back)
-    right /= np.linalg.norm(right)
-    return np.stack([right, np.cross(back, right), back], axis=1)
-
-
-@dataclass(frozen=True, eq=False)
-class Cameras:
-    """C cameras in each of W worlds. A camera looks along its -z, +y is up.
-
-    Attributes:
-        pos, mat: (W, C, 3) [m] and (W, C, 3, 3) (or (W, C, 9)) in the world.
-        fovy: vertical field of view [rad], one number, (C,) or (W, C).
-        width, height: image size [px].
-        level_error: largest projected error of a level of detail that may replace a mesh [px].
-    """
-
-    pos: np.ndarray
-    mat: np.ndarray
-    fovy: ArrayLike
-    width: int
-    height: int
-    level_error: float = LEVEL_ERROR
 
 
 class _Picture(NamedTuple):

@@ -15,6 +15,8 @@ from mjhab.reports.students import WHOLE
 from mjhab.tasks.subtasks.navigate import NAVIGATE
 
 PAPER = ("bc", "rl_per")
+FAILURE = "_failure"
+"""End of the labels of failures."""
 TRAINING_HEAD = (
     *("task", "subtask", "target", "px", "steps", "once %", "95 %", "of", "at end %"),
     *("demonstrations", "control steps", "samples", "minutes", "paper BC %", "RL-Per %"),
@@ -113,6 +115,16 @@ def share_of(row: dict[str, Any] | None) -> list[str]:
     ]
 
 
+def failure_of(row: dict[str, Any] | None) -> str:
+    """The most frequent label of failures of an evaluation, with the number of its episodes."""
+    labels = {} if row is None else row["labels"]
+    failures = {name: labels[name] for name in labels if name.endswith(FAILURE)}
+    if not failures:
+        return "-"
+    name = max(failures, key=lambda label: failures[label])
+    return f"{name.removesuffix(FAILURE).replace('_', ' ')} {failures[name]}"
+
+
 def judged_rows(pack: str) -> list[dict[str, Any]]:
     return [row for row in read("students-judged")["rows"] if row["pack"] == pack]
 
@@ -122,26 +134,44 @@ def judged_table(pack: str) -> str:
     rows = judged_rows(pack)
     rows = [row for row in rows if row["subtask"]]
     found = {(*place_of(row), row["seed"], row["split"]): row for row in rows}
+    splits = [name for name in ("val", "test") if any(name in key for key in found)]
     head = ["task", "subtask", "target"]
-    for split in ("val", "test"):
-        head += [f"{split} once %", "95 %", "of"]
+    for split in splits:
+        head += [f"{split} once %", "95 %", "of", "at end %", "most frequent failure"]
     lines = []
     for row in sorted(rows, key=place_of):
         keys = (*place_of(row), row["seed"])
         line = [row["task"], row["subtask"], row["target"] or "all"]
-        for split in ("val", "test"):
-            line += share_of(found.get((*keys, split)))
+        for split in splits:
+            judged = found.get((*keys, split))
+            end = "-" if judged is None else percent(judged["success_at_end"], 1)
+            line += [*share_of(judged), end, failure_of(judged)]
         paper = paper_success(row["task"], row["subtask"], "val", row["target"]) or {}
         line += [f"{paper[name]:.1f}" if name in paper else "-" for name in PAPER]
         if line not in lines:
             lines.append(line)
+    lines.append(["mean of these rows", "", "", *_means(rows, splits), "", ""])
     columns = (*head, "paper BC % (its val)", "RL-Per %")
     return table(columns, lines) + source("students-judged")
 
 
-def chain_table() -> str:
-    """One line per whole task, split and seed."""
-    rows = [row for row in judged_rows("builtin") if not row["subtask"]]
+def _means(rows: list[dict[str, Any]], splits: list[str]) -> list[str]:
+    """Cells of the means over the rows of each split."""
+    cells = []
+    for split in splits:
+        mine = [row for row in rows if row["split"] == split]
+        means = [
+            percent(sum(row[name] for row in mine) / len(mine), 1)
+            for name in ("success_once", "success_at_end")
+        ]
+        count = sum(row["episodes"] for row in mine)
+        cells += [f"**{means[0]}**", "", str(count), means[1], ""]
+    return cells
+
+
+def chain_table(pack: str) -> str:
+    """One line per whole task, split and seed, in a pack's homes."""
+    rows = [row for row in judged_rows(pack) if not row["subtask"]]
     head = ("task", "split", "seed", "whole task %", "95 %", "of", "tainted")
     lines = []
     for row in rows:
@@ -158,8 +188,9 @@ def chain_table() -> str:
 
 TABLES = {
     "policies": lambda: judged_table("builtin"),
-    "policies_replica_cad": lambda: judged_table("replica_cad"),
-    "policies_chains": chain_table,
+    "policies_replica_cad": lambda: judged_table("replica_cad?stage=stand-in"),
+    "policies_chains": lambda: chain_table("builtin"),
+    "policies_chains_replica_cad": lambda: chain_table("replica_cad?stage=stand-in"),
     "trainings": lambda: student_table("builtin"),
     "trainings_replica_cad": lambda: student_table("replica_cad"),
     "trainings_walls": lambda: student_table("replica_cad?stage=stand-in"),

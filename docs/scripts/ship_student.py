@@ -3,7 +3,8 @@
 FILE is student.safetensors of a run, ROW what it was trained for: TASK/SUBTASK or TASK/SUBTASK/TARGET. The weights are
 stored in about half of their size, in a file named after the row. A student for several rows is stored as all_rows;
 src/mjhab/learning/shipped/index.json names the rows that it acts for, alone or together with another. With --name it
-is stored under a name of its own, for ``--policy learned:NAME``.
+is stored under a name of its own, for ``--policy learned:NAME``, or, with a name such as replica_cad/tidy_house.pick,
+for a file of policies such as src/mjhab/learning/shipped/replica_cad.json.
 """
 
 from __future__ import annotations
@@ -34,6 +35,7 @@ def ship(source: Path, rows: Sequence[str], name: str = "") -> None:
         pack = {**pack, "place": Path(pack["place"]).name}
     told = [{**about["scene"], "assets": pack, **scene} for scene in scenes]
     place = FOLDER / f"{name}{CHECKPOINT_SUFFIX}"
+    place.parent.mkdir(exist_ok=True)
     save_compact(source, place, {**about, "scene": told[0], "also": told[1:]})
     place.chmod(0o644)
     print(f"{place}: {place.stat().st_size / 1e6:.1f} MB")

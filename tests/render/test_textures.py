@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from mjhab.render.build_scene import SceneBuilder
+from mjhab.render.cameras import LEVEL_ERROR, Cameras, look_at
 from mjhab.render.mesh_levels import MIN_FACES, mesh_levels
 from mjhab.render.patterns import PERIODS, SHADE_TOP, pattern_tile
-from mjhab.render.raster.cameras import LEVEL_ERROR, Cameras, look_at
 from mjhab.render.raster.rasterizer import Rasterizer
 from mjhab.render.textures import (
     LEVELS,

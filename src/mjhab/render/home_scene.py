@@ -9,10 +9,10 @@ import numpy as np
 
 from mjhab.core.joints import BASE
 from mjhab.core.rotations import mat_from_quat
+from mjhab.render.cameras import Cameras, look_at
 from mjhab.render.layout_scene import build_render_scene
 from mjhab.render.pictures.follow_camera import FollowCamera
 from mjhab.render.raster.arrays import DIVERGED_BEYOND_M
-from mjhab.render.raster.cameras import Cameras, look_at
 from mjhab.render.raster.rasterizer import FAST, FILM, QualityName, Rasterizer
 from mjhab.scenes.shading import Shading
 from mjhab.sim.mujoco.cpu import CpuSimulator

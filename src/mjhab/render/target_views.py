@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mjhab.core.conventions.images import COLOURS, RGB, TARGET_DEPTH, TARGET_RGB
+from mjhab.render.cameras import Cameras
 from mjhab.render.home_scene import (
     ROBOT_LEVEL_ERROR,
     BodyPoses,
@@ -21,7 +22,6 @@ from mjhab.render.home_scene import (
     ViewChange,
     is_sane,
 )
-from mjhab.render.raster.cameras import Cameras
 
 FOV = 0.5
 """Field of view [rad] of both sides."""

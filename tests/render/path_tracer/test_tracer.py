@@ -11,6 +11,7 @@ import pytest
 
 from mjhab.layout.layout import Layout
 from mjhab.render.build_scene import SceneBuilder
+from mjhab.render.cameras import Cameras, look_at
 from mjhab.render.home_scene import HomeRenderer
 from mjhab.render.path_tracer.windows import (
     SKYLIGHT_M,
@@ -18,7 +19,6 @@ from mjhab.render.path_tracer.windows import (
     open_windows,
     skylights,
 )
-from mjhab.render.raster.cameras import Cameras, look_at
 from mjhab.render.raster.rasterizer import Rasterizer
 from mjhab.scenes.builtin.materials import Material
 from mjhab.scenes.builtin.pack import builtin_pack

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from mjhab.render.build_scene import SceneBuilder
+from mjhab.render.cameras import Cameras, look_at
 from mjhab.render.models import home_models
-from mjhab.render.raster.cameras import Cameras, look_at
 from mjhab.render.raster.rasterizer import Rasterizer
 from mjhab.scenes.replica_cad.looks import MeshFiles
 from mjhab.scenes.shapes.meshes import Mesh

@@ -9,10 +9,10 @@ import pytest
 from numba import typeof
 
 from mjhab.render.build_scene import SceneBuilder
+from mjhab.render.cameras import Cameras, look_at
 from mjhab.render.gl_probe import GL_BACKENDS, renderer_probe
 from mjhab.render.mesh_levels import corner_normals
 from mjhab.render.primitives import primitive_mesh
-from mjhab.render.raster.cameras import Cameras, look_at
 from mjhab.render.raster.rasterizer import Rasterizer
 from mjhab.render.raster.scenery import make_scenery
 from mjhab.scenes.builtin.materials import Material

@@ -15,8 +15,8 @@ import warnings
 import numpy as np
 
 from mjhab.render.build_scene import SceneBuilder
+from mjhab.render.cameras import Cameras, look_at
 from mjhab.render.gl_probe import GL_BACKENDS, renderer_probe
-from mjhab.render.raster.cameras import Cameras, look_at
 from mjhab.render.raster.rasterizer import Rasterizer
 from mjhab.scenes.spec import Geom
 

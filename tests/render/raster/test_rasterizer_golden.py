@@ -20,7 +20,7 @@ import pytest
 from PIL import Image
 
 from mjhab.render.build_scene import SceneBuilder
-from mjhab.render.raster.cameras import Cameras, look_at
+from mjhab.render.cameras import Cameras, look_at
 from mjhab.render.raster.rasterizer import Rasterizer
 from mjhab.scenes.builtin.objects import builtin_objects, object_meshes
 from mjhab.scenes.shapes.meshes import Mesh

@@ -17,8 +17,8 @@ from mjhab.core.rotations import mat_from_quat
 from mjhab.episodes.rosters import roster
 from mjhab.layout.layout import Layout
 from mjhab.render.build_scene import SceneBuilder
+from mjhab.render.cameras import Cameras
 from mjhab.render.primitives import box_mesh
-from mjhab.render.raster.cameras import Cameras
 from mjhab.render.raster.rasterizer import NEAR, Rasterizer
 from mjhab.robots.fetch import model as fetch
 from mjhab.robots.fetch.robot import ROBOT

@@ -8,11 +8,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from mjhab.render.cameras import Cameras
 from mjhab.render.models import srgb_bytes
 from mjhab.render.path_tracer.library import denoise, mitsuba
 from mjhab.render.path_tracer.lights import TIMES
 from mjhab.render.path_tracer.traced_home import PlacedHome, TracedHome
-from mjhab.render.raster.cameras import Cameras
 from mjhab.render.raster.rasterizer import NEAR
 from mjhab.render.raster.shading import compressed
 from mjhab.render.render_scene import RenderScene

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mjhab.render.raster.cameras import Cameras, look_at
+from mjhab.render.cameras import Cameras, look_at
 from mjhab.scenes.spec import Home
 
 PLAN_HEIGHT_M = 1000.0

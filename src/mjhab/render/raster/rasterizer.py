@@ -14,10 +14,10 @@ from mjhab.core.errors import unknown_name
 from mjhab.core.kernels.arrays import read_only
 from mjhab.core.machine import cores
 from mjhab.core.typed.checks import check, check_least, check_shape
+from mjhab.render.cameras import LEVEL_ERROR, Cameras
 from mjhab.render.lanes import LANES, z_buffer
 from mjhab.render.raster.arrays import Bodies, Lens, make_scratch
 from mjhab.render.raster.batch import ThreadBuffers, ViewBatch, draw_worlds
-from mjhab.render.raster.cameras import LEVEL_ERROR, Cameras
 from mjhab.render.raster.kernels import draw, read_depth, read_segments
 from mjhab.render.raster.lighting import SHADOW_SLOPE
 from mjhab.render.raster.nodes import Openness

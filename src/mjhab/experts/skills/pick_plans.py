@@ -200,18 +200,7 @@ def plan_inside(
     pose = view.object_pose(obj)
     scene = scene_of(view, obj)
     around = scene.beside.near(pose[:3], 0.5)
-    shape = view.object_shape(obj)
-    every = balanced(
-        shelf_grasps(
-            shape,
-            pose,
-            scene,
-            direction_to(view, pose),
-            around,
-            GRASP_CLEARANCES_M[-1][0],
-        ),
-        pose[:3],
-    )
+    every = balanced(_grasps_of(view, obj, scene, around, inside=True), pose[:3])
     clearance = hand_clearance(view.robot.gripper, every, around)
     best = None
     yaw = view.base[2]

@@ -13,7 +13,7 @@ from safetensors.torch import load_file
 
 from mjhab.core.errors import UsageError
 from mjhab.learning.assigned.join import KnownRequest, join, joined
-from mjhab.learning.assigned.members import Member, member_for
+from mjhab.learning.assigned.members import member_for
 from mjhab.learning.assigned.spec import PolicyJoinSpec
 from mjhab.learning.checkpoint import (
     load_checkpoint,
@@ -31,6 +31,7 @@ from mjhab.learning.runs.specs import Scene
 from mjhab.learning.students import compact
 from mjhab.learning.students.bc import BehaviourCloning
 from mjhab.learning.students.heads import check_student, make_student
+from mjhab.learning.students.members import Member
 from mjhab.learning.students.routed import RoutedTrunk, fit_gate, secondary_weights
 from mjhab.learning.students.student import Student
 from tests.learning.small import SIZE, condition_of, config, layout
@@ -47,7 +48,7 @@ WIDE = NetworkConfig(channels=(4, 8), image_features=8, hidden=64, layers=2)
 FOVEAL = dataclasses.replace(WHOLE, whole_views=False, target_views=True)
 
 
-def _member(seed: int, inputs: InputConfig) -> BehaviourCloning:
+def random_member(seed: int, inputs: InputConfig) -> BehaviourCloning:
     """A student with random weights and normalizers."""
     made = make_student(config(inputs=inputs), layout(inputs), seed)
     assert isinstance(made, BehaviourCloning)
@@ -61,11 +62,11 @@ def _member(seed: int, inputs: InputConfig) -> BehaviourCloning:
     return made.eval().requires_grad_(False)
 
 
-def _joined(*members: BehaviourCloning) -> BehaviourCloning:
-    return joined([Member(member) for member in members], _routes())
+def joined_students(*members: BehaviourCloning) -> BehaviourCloning:
+    return joined([Member(member) for member in members], routes())
 
 
-def _routes() -> list[KnownRequest]:
+def routes() -> list[KnownRequest]:
     drawer, bowl = "kitchen_counter/drawer3", "024_bowl"
     asked = (("pick", bowl, 0), ("open", drawer, 1), ("close", drawer, 1))
     return [
@@ -74,7 +75,7 @@ def _routes() -> list[KnownRequest]:
     ]
 
 
-def _fitted(student: BehaviourCloning) -> RoutedTrunk:
+def learn_routes(student: BehaviourCloning) -> RoutedTrunk:
     trunk = student.trunk
     assert isinstance(trunk, RoutedTrunk)
     weights, bias = fit_gate(SAID, encode_sentence, 0)
@@ -83,15 +84,15 @@ def _fitted(student: BehaviourCloning) -> RoutedTrunk:
     return trunk
 
 
-def _acts(student: Student, vector: np.ndarray, images: np.ndarray) -> np.ndarray:
+def acts(student: Student, vector: np.ndarray, images: np.ndarray) -> np.ndarray:
     shape = (len(vector), 0, student.config.chunk, len(student.layout.actions))
     return student.act(vector.astype(np.float32), images, np.zeros(shape, np.float32))
 
 
 def test_the_joined_student_does_on_each_route_what_its_member_does() -> None:
-    members = [_member(1, FOVEAL), _member(2, WHOLE)]
-    one = _joined(*members)
-    _fitted(one)
+    members = [random_member(1, FOVEAL), random_member(2, WHOLE)]
+    one = joined_students(*members)
+    learn_routes(one)
     random = np.random.default_rng(0)
     seen = {
         key: random.integers(0, 256, (WORLDS, SIZE, SIZE), np.uint8)
@@ -99,32 +100,32 @@ def test_the_joined_student_does_on_each_route_what_its_member_does() -> None:
     }
     assert len(seen) == 2
     measured = random.normal(size=(WORLDS, members[0].layout.measured_width))
-    for route in _routes():
+    for route in routes():
         member = members[route.member]
         code = condition_of(member.layout, route.scene.subtask, route.target)
         told = np.hstack([measured, np.tile(code, (WORLDS, 1))])
         images = np.stack([seen[key] for key in member.layout.image_keys], 1)
-        wanted = _acts(member, told, images)[:, : one.config.chunk]
+        wanted = acts(member, told, images)[:, : one.config.chunk]
         for sentence in route.sentences:
             said = np.tile(encode_sentence(sentence), (WORLDS, 1))
             every = np.stack([seen[key] for key in one.layout.image_keys], 1)
-            done = _acts(one, np.hstack([measured, said]), every)
+            done = acts(one, np.hstack([measured, said]), every)
             assert np.abs(done - wanted).max() < 1e-5
 
 
 def test_more_views_change_nothing_until_they_are_learned_from() -> None:
-    members = [_member(1, FOVEAL), _member(2, WHOLE)]
-    before = _joined(*members)
-    more = joined([Member(member) for member in members], _routes(), "both")
+    members = [random_member(1, FOVEAL), random_member(2, WHOLE)]
+    before = joined_students(*members)
+    more = joined([Member(member) for member in members], routes(), "both")
     random = np.random.default_rng(0)
     images = random.integers(0, 256, (WORLDS, 2, SIZE, SIZE), np.uint8)
     measured = random.normal(size=(WORLDS, before.layout.measured_width))
     for student in (before, more):
-        _fitted(student).requires_grad_(True)
+        learn_routes(student).requires_grad_(True)
     for said in SAID:
         told = np.hstack([measured, np.tile(encode_sentence(said[0]), (WORLDS, 1))])
-        wanted = _acts(before, told, images)
-        assert np.abs(_acts(more, told, images) - wanted).max() < 1e-5
+        wanted = acts(before, told, images)
+        assert np.abs(acts(more, told, images) - wanted).max() < 1e-5
     trunk = more.trunk
     assert isinstance(trunk, RoutedTrunk)
     state = trunk.state_dict()
@@ -140,7 +141,7 @@ def test_more_views_change_nothing_until_they_are_learned_from() -> None:
     assert first.grad is not None
     assert first.grad.any(dim=0)[: 2 * more.config.network.image_features].all()
     with pytest.raises(UsageError, match="views"):
-        joined([Member(member) for member in members], _routes(), "target")
+        joined([Member(member) for member in members], routes(), "target")
 
 
 def test_views_beside_those_of_the_target_are_stored_in_8_bits(
@@ -148,8 +149,8 @@ def test_views_beside_those_of_the_target_are_stored_in_8_bits(
 ) -> None:
     # The matrices of these networks are small.
     monkeypatch.setattr(compact, "LEAST_NUMBERS", 16)
-    members = [Member(_member(1, FOVEAL)), Member(_member(2, WHOLE))]
-    student = joined(members, _routes(), "both")
+    members = [Member(random_member(1, FOVEAL)), Member(random_member(2, WHOLE))]
+    student = joined(members, routes(), "both")
     large, small = tmp_path / "large.safetensors", tmp_path / "small.safetensors"
     save_student(large, student, {})
     save_compact(large, small)
@@ -166,47 +167,51 @@ def test_views_beside_those_of_the_target_are_stored_in_8_bits(
     for name, tensor in student.state_dict().items():
         assert (again[name] - tensor).abs().max() <= 0.005 * tensor.abs().max() + 1e-6
     # A network that sees whole views alone acts by them.
-    assert not secondary_weights(_joined(_member(1, FOVEAL), _member(2, WHOLE)))
+    assert not secondary_weights(
+        joined_students(random_member(1, FOVEAL), random_member(2, WHOLE))
+    )
 
 
 def test_a_network_of_a_joined_policy_can_be_exchanged() -> None:
-    old = _joined(_member(1, FOVEAL), _member(2, WHOLE))
-    new = _joined(_member(3, FOVEAL), _member(4, WHOLE))
+    old = joined_students(random_member(1, FOVEAL), random_member(2, WHOLE))
+    new = joined_students(random_member(3, FOVEAL), random_member(4, WHOLE))
     for student in (old, new):
-        _fitted(student)
+        learn_routes(student)
         # Training moves the shared bias as well.
         student.head.bias.data += 0.1
-    picked, drawer = _routes()[0], _routes()[1:]
+    picked, drawer = routes()[0], routes()[1:]
     members = [member_for(new, picked), member_for(old, drawer[0])]
     assert member_for(old, drawer[1]) == members[1]
-    mixed = joined(members, _routes())
-    _fitted(mixed)
+    mixed = joined(members, routes())
+    learn_routes(mixed)
     random = np.random.default_rng(0)
     images = random.integers(0, 256, (WORLDS, 2, SIZE, SIZE), np.uint8)
     measured = random.normal(size=(WORLDS, old.layout.measured_width))
     for said, source in zip(SAID, (new, old, old), strict=True):
         told = np.hstack([measured, np.tile(encode_sentence(said[0]), (WORLDS, 1))])
-        wanted = _acts(source, told, images)
-        assert np.abs(_acts(mixed, told, images) - wanted).max() < 1e-5
+        wanted = acts(source, told, images)
+        assert np.abs(acts(mixed, told, images) - wanted).max() < 1e-5
 
 
 def test_what_one_world_is_asked_changes_no_bit_of_what_another_does() -> None:
-    one = _joined(_member(1, WHOLE), _member(2, WHOLE))
-    _fitted(one)
+    one = joined_students(random_member(1, WHOLE), random_member(2, WHOLE))
+    learn_routes(one)
     random = np.random.default_rng(0)
     images = random.integers(0, 256, (WORLDS, 1, SIZE, SIZE), np.uint8)
     measured = random.normal(size=(WORLDS, one.layout.measured_width))
     alike = np.tile(encode_sentence(SAID[1][0]), (WORLDS, 1))
     mixed = alike.copy()
     mixed[1::2] = encode_sentence(SAID[0][0])
-    first = _acts(one, np.hstack([measured, alike]), images)
-    second = _acts(one, np.hstack([measured, mixed]), images)
+    first = acts(one, np.hstack([measured, alike]), images)
+    second = acts(one, np.hstack([measured, mixed]), images)
     assert np.array_equal(first[::2], second[::2])
     assert not np.allclose(first[1::2], second[1::2])
 
 
 def test_a_gate_understands_sentences_with_new_words() -> None:
-    trunk = _fitted(_joined(_member(1, WHOLE), _member(2, WHOLE)))
+    trunk = learn_routes(
+        joined_students(random_member(1, WHOLE), random_member(2, WHOLE))
+    )
     for number, told in enumerate(
         (
             "would you kindly take that bowl",
@@ -304,8 +309,8 @@ def test_a_routed_network_is_not_trained_from_nothing() -> None:
 
 
 def test_ppo_goes_on_from_a_joined_student_and_freezes_no_part_of_it() -> None:
-    one = _joined(_member(1, WHOLE), _member(2, WHOLE))
-    _fitted(one)
+    one = joined_students(random_member(1, WHOLE), random_member(2, WHOLE))
+    learn_routes(one)
     one.requires_grad_(True)
     polish = reinforcement_preset("ppo", "polish")
     agent = Ppo(dataclasses.replace(polish, inputs=WHOLE), one.layout, 0, 0, one)

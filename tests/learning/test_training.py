@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 import json
 import signal
@@ -14,6 +15,7 @@ import torch
 from safetensors.torch import save_file
 
 from mjhab.core.errors import UsageError
+from mjhab.learning.assigned.join import KnownRequest, joined
 from mjhab.learning.batches import BatchSampler, take_chunks
 from mjhab.learning.changes import with_changes
 from mjhab.learning.checkpoint import (
@@ -41,13 +43,17 @@ from mjhab.learning.reinforcement.configs import PpoConfig, reinforcement_preset
 from mjhab.learning.resuming import as_begun_now
 from mjhab.learning.runs.evaluation import EvaluationClock
 from mjhab.learning.runs.imitation import ImitationSession
+from mjhab.learning.runs.request import start_of
 from mjhab.learning.runs.run import Logbook, TrainingFolder
 from mjhab.learning.runs.session import Session
 from mjhab.learning.runs.specs import ImitationSpec, Scene, TrainSpec
 from mjhab.learning.runs.train import open_session
 from mjhab.learning.runs.training import BrokenLossError, Trainer
 from mjhab.learning.students import compact
+from mjhab.learning.students.bc import BehaviourCloning
 from mjhab.learning.students.heads import check_student, make_student
+from mjhab.learning.students.members import Member
+from mjhab.learning.students.routed import RoutedTrunk
 from mjhab.learning.students.student import Batch
 from mjhab.reports.compared.trainings import read_metrics, success_curves
 from mjhab.rollout.records import EpisodeRecord
@@ -385,6 +391,57 @@ def test_a_run_begins_with_the_weights_of_another(source: Path, tmp_path: Path) 
     with pytest.raises(UsageError, match="which has another network: give a student"):
         train_in(request(source, preset=other, start=student), tmp_path / "third")
     assert not (tmp_path / "third").exists()
+
+
+def test_a_run_begins_with_the_network_of_a_joined_student(
+    source: Path, tmp_path: Path
+) -> None:
+    """The one that its gate chooses for the run's sentences among those for the run's subtask."""
+    train_in(request(source), tmp_path / "first")
+    plain = load_student(tmp_path / "first" / "student.safetensors")
+    assert isinstance(plain, BehaviourCloning)
+    other = copy.deepcopy(plain)
+    other.head.bias.data += 1.0
+    scenes = [Scene(subtask=name, target="024_bowl") for name in ("pick", "pick", "open")]
+    routes = [
+        KnownRequest(scene, "024_bowl", (), n % 2) for n, scene in enumerate(scenes)
+    ]
+    one = joined([Member(plain), Member(other)], routes)
+    assert isinstance(one.trunk, RoutedTrunk)
+    # Whatever is said: route 2 above all, then 1.
+    one.trunk.gate.weight.data.zero_()
+    one.trunk.gate.bias.data = torch.arange(3.0)
+    about = {
+        "also": [scene.record() for scene in scenes[1:]],
+        "scene": scenes[0].record(),
+    }
+    save_student(tmp_path / "one.safetensors", one, about)
+    still = train_config(optimizer=OptimizerConfig(batch=8, learning_rate=1e-12))
+    begun = request(source, preset=still, start=tmp_path / "one.safetensors")
+    train_in(begun, tmp_path / "second")
+    made = weights(tmp_path / "second" / "student.safetensors")
+    width = len(plain.layout.actions)
+    scale, mean = plain.action_normalizer.scale, plain.action_normalizer.mean
+    wanted = other.head.bias[:width] * scale + mean
+    assert torch.allclose(made["head.bias"][:width], wanted, atol=1e-5)
+    inputs = dataclasses.replace(config().inputs, condition=False)
+    untold = train_config(inputs=inputs)
+    with pytest.raises(UsageError, match=r"a joined student, without inputs\.condition"):
+        train_in(dataclasses.replace(begun, preset=untold), tmp_path / "third")
+
+
+def test_a_run_cannot_begin_with_a_student_that_sees_more(
+    source: Path, tmp_path: Path
+) -> None:
+    train_in(request(source), tmp_path / "first")
+    inputs = dataclasses.replace(config().inputs, whole_views=False, target_views=True)
+    fewer = request(source, start=tmp_path / "first" / "student.safetensors")
+    saved = load_checkpoint(tmp_path / "first" / "student.safetensors")
+    wanted = dataclasses.replace(saved.layout, inputs=inputs)
+    blind = dataclasses.replace(fewer, preset=train_config(inputs=inputs))
+    told = r"another choice of views \(whole; target here\)"
+    with pytest.raises(UsageError, match=told):
+        start_of(blind, wanted)
 
 
 def test_a_run_leaves_its_folder_and_resumes_exactly(

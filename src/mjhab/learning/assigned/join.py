@@ -6,12 +6,11 @@ What each member computes stays as it is, but for the last bits; see `students.r
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import torch
-from torch import Tensor, nn
 
 from mjhab.core.errors import UsageError, fault, wrong_value
 from mjhab.core.files.reading import is_file
@@ -20,10 +19,10 @@ from mjhab.learning.assigned.entries import Entry
 from mjhab.learning.assigned.files import entries_in, read_entries
 from mjhab.learning.assigned.members import (
     Asked,
-    Member,
-    keys_of,
+    code,
     member_for,
     readable,
+    unasked,
 )
 from mjhab.learning.assigned.spec import PolicyJoinSpec
 from mjhab.learning.checkpoint import (
@@ -35,16 +34,15 @@ from mjhab.learning.checkpoint import (
 from mjhab.learning.configs import VIEWS
 from mjhab.learning.networks import Trunk
 from mjhab.learning.observation.sentences import encode_sentence
-from mjhab.learning.runs.collection import make_env
+from mjhab.learning.runs.collection import make_env, wordings_of
 from mjhab.learning.runs.specs import Resources, Scene
 from mjhab.learning.students.bc import BehaviourCloning
 from mjhab.learning.students.heads import make_student
+from mjhab.learning.students.members import Member, keys_of, loses_images, take_over
 from mjhab.learning.students.routed import RoutedTrunk, fit_gate
 
-WORLDS = 8
-"""Worlds of the environment that makes the sentences."""
 SEED = 0
-"""Of the episodes whose sentences the gate learns, and of the random words that it learns to ignore."""
+"""Of the random words that a gate learns to ignore."""
 
 
 @dataclass(frozen=True)
@@ -166,7 +164,8 @@ def _asked(entry: Entry, saved: Checkpoint, spec: PolicyJoinSpec) -> list[Asked]
     if not found:
         raise fault(entry.checkpoint, f"was not trained for {entry.words}.")
     return [
-        Asked(scene, target, _sentences(scene, target, spec)) for scene, target in found
+        Asked(scene, target, wordings_of(scene, target, spec.episodes))
+        for scene, target in found
     ]
 
 
@@ -179,24 +178,6 @@ def _targets(scene: Scene) -> tuple[str, ...]:
         return tuple(aims_of(env.config, env.layout))
     finally:
         env.close()
-
-
-def _sentences(scene: Scene, target: str, spec: PolicyJoinSpec) -> tuple[str, ...]:
-    """All wordings of the requests of some episodes."""
-    # Starts of a file may be few; what is said does not depend on them.
-    one = dataclasses.replace(scene, target=target, spawns="", randomise="")
-    # No images: sentences come from the plan, and rendering would take most of the time.
-    env = make_env(one, {"obs_mode": "state"}, Resources(WORLDS, threads=1))
-    found: dict[str, None] = {}
-    for start in range(0, spec.episodes, WORLDS):
-        env.reset(seed=SEED + start)
-        for world in range(WORLDS):
-            # A dict, so that the gate is fitted to the same order every time.
-            found |= dict.fromkeys(
-                sentence for said in env.wordings(world) for sentence in said
-            )
-    env.close()
-    return tuple(found)
 
 
 def _check_apart(routes: Sequence[KnownRequest]) -> None:
@@ -249,12 +230,12 @@ def joined(
             assert isinstance(expert, Trunk)
             # The gate never sends the routes of others here, so that any code would do.
             codes = [
-                member.code(route) if route.member == number else member.unasked
+                code(member, route) if route.member == number else unasked(member)
                 for route in routes
             ]
             keys = keys_of(made.config.inputs, made.config.network.experts[number])
             seen = {key: known.get(key) for key in keys}
-            _take_over(expert, member, codes, seen)
+            take_over(expert, member, torch.stack(codes, dim=1), seen)
             weight, bias = member.head
             rows = len(made.head.weight)
             mine = made.head.weight[:, number * width : (number + 1) * width]
@@ -270,10 +251,7 @@ def _joined_network(
     """The network of a joined policy, with random weights; arguments and errors as `joined`."""
     first = members[0].student
     for member in members:
-        if views and any(
-            its and not all_see
-            for its, all_see in zip(VIEWS[member.views], VIEWS[views], strict=True)
-        ):
+        if views and loses_images(member.views, views):
             raise wrong_value(
                 "views",
                 views,
@@ -304,65 +282,6 @@ def _joined_network(
     made = make_student(config, layout)
     assert isinstance(made, BehaviourCloning)
     return made
-
-
-def _take_over(
-    expert: Trunk,
-    member: Member,
-    codes: Sequence[Tensor],
-    images: Mapping[str, nn.Module | None],
-) -> None:
-    """Copy a member's network to an expert that is told the number of the route in place of a code.
-
-    Args:
-        expert: the new network. member: what it is to do. codes: what the member is told on each route.
-        images: keys of those that the expert sees, all of the member's among them, with the encoder of one that is new
-            to the member; None if nobody has one.
-    """
-    trunk, mine = member.trunk, member.encoders
-    measured = len(trunk.normalizer.mean) - len(codes[0])
-    table = torch.stack(list(codes), dim=1)
-    old = trunk.state_dict()
-    new = {k: v for k, v in old.items() if not k.startswith("encoder.encoders.")}
-    features = trunk.encoder.image_features
-    weight = old["layers.0.weight"]
-    own = {
-        key: weight[:, number * features : (number + 1) * features]
-        for number, key in enumerate(mine)
-    }
-    behind = weight[:, len(mine) * features :]
-    # With a layer of its own for the state, the code enters there.
-    stated = not isinstance(trunk.encoder.state, nn.Identity)
-    if stated:
-        key = "encoder.state.weight"
-        key = key if key in old else "encoder.state.0.weight"
-        new[key] = _recoded(old[key], measured, table)
-    else:
-        behind = _recoded(behind, measured, table)
-    for number, (key, known) in enumerate(images.items()):
-        if encoder := mine.get(key, known):
-            new |= {
-                f"encoder.encoders.{number}.{name}": value
-                for name, value in encoder.state_dict().items()
-            }
-    unread = weight.new_zeros(len(weight), features)
-    seen = [own.get(key, unread) for key in images]
-    new["layers.0.weight"] = torch.cat([*seen, behind], dim=1)
-    for name, filler in (("mean", 0.0), ("scale", 1.0)):
-        key = f"encoder.normalizer.{name}"
-        # Codes are not normalized: mean 0 and scale 1 leave them as they are.
-        rest = torch.full((len(codes),), filler)
-        new[key] = torch.cat([old[key][:measured], rest])
-    # Encoders that nobody has keep their random weights.
-    expert.load_state_dict({**expert.state_dict(), **new})
-
-
-def _recoded(weight: Tensor, measured: int, table: Tensor) -> Tensor:
-    """Weights of a vector with a code at the end of every step for one with the route (R): ``table`` (T, R)."""
-    parts = []
-    for step in weight.unflatten(1, (-1, measured + len(table))).unbind(1):
-        parts += [step[:, :measured], step[:, measured:] @ table]
-    return torch.cat(parts, dim=1)
 
 
 def _unread(trunk: RoutedTrunk, routes: Sequence[KnownRequest]) -> tuple[str, ...]:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
@@ -28,6 +28,10 @@ from mjhab.tasks.subtasks.registry import limits_of
 
 if TYPE_CHECKING:
     from mjhab.envs.sequential import SequentialTaskEnv
+
+
+WORLDS = 8
+"""Worlds of the environment that `wordings_of` reads."""
 
 
 @dataclass(frozen=True)
@@ -83,6 +87,24 @@ def make_env(
         threads=resources.threads,
         autoreset="disabled",
     )
+
+
+def wordings_of(scene: Scene, target: str, episodes: int) -> tuple[str, ...]:
+    """All wordings of the requests of so many episodes of a scene with a type of target, "" for all."""
+    # Starts of a file may be few; what is said does not depend on them.
+    one = replace(scene, target=target, spawns="", randomise="")
+    # No images: sentences come from the plan, and rendering would take most of the time.
+    env = make_env(one, {"obs_mode": "state"}, Resources(WORLDS, threads=1))
+    found: dict[str, None] = {}
+    for start in range(0, episodes, WORLDS):
+        env.reset(seed=start)
+        for world in range(WORLDS):
+            # A dict, so that the gate is fitted to the same order every time.
+            found |= dict.fromkeys(
+                sentence for said in env.wordings(world) for sentence in said
+            )
+    env.close()
+    return tuple(found)
 
 
 def longer(options: dict[str, Any], horizon: int) -> dict[str, Any]:

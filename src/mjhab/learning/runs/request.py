@@ -2,27 +2,44 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from dataclasses import asdict, replace
 from typing import TYPE_CHECKING, Any
+
+import torch
 
 from mjhab.core.errors import UsageError
 from mjhab.core.version import __version__
 from mjhab.evaluation.resolve import open_policy
-from mjhab.learning.checkpoint import load_checkpoint, student_of
+from mjhab.learning.checkpoint import Checkpoint, load_checkpoint, student_of
 from mjhab.learning.demos import goals_of_data, observation_spec_of_data
+from mjhab.learning.observation.sentences import encode_sentence
 from mjhab.learning.observation.spec import (
     ObservationSpec,
     compare_specs,
     image_options,
     observation_spec_of,
 )
-from mjhab.learning.runs.collection import make_env
+from mjhab.learning.runs.collection import make_env, wordings_of
 from mjhab.learning.runs.specs import ImitationSpec, Resources
+from mjhab.learning.students.bc import BehaviourCloning, PaperTrunk
+from mjhab.learning.students.carried import carried
+from mjhab.learning.students.members import (
+    VIEW_NAMES,
+    Member,
+    inputs_alone,
+    layout_alone,
+    loses_images,
+    network_alone,
+)
+from mjhab.learning.students.routed import RoutedTrunk
 from mjhab.learning.students.student import Student
 
 if TYPE_CHECKING:
     from mjhab.envs.sequential import SequentialTaskEnv
+
+START_EPISODES = 32
+"""Episodes whose sentences choose the network of a joined student that a run begins with."""
 
 
 def layout_for(spec: ImitationSpec) -> ObservationSpec:
@@ -95,7 +112,10 @@ def _spoken(goals: Collection[tuple[str, str]]) -> str:
 
 
 def start_of(spec: ImitationSpec, layout: ObservationSpec) -> Student | None:
-    """Load the student that the run begins with; None for random weights.
+    """The student that the run begins with, of its layout; None for random weights.
+
+    One of behaviour cloning may know other targets, see fewer views and give another chunk, and may be a joined one,
+    of which the network begins that its gate chooses for the run's sentences; see `students.carried`.
 
     Raises:
         UsageError: the file cannot be read, or is of another algorithm, network or layout.
@@ -104,6 +124,7 @@ def start_of(spec: ImitationSpec, layout: ObservationSpec) -> Student | None:
         return None
     saved = load_checkpoint(spec.start)
     wanted = spec.config.student
+    student = student_of(spec.start, saved)
     told = {
         "algorithm": (saved.config.algorithm, wanted.algorithm),
         "chunk": (saved.config.chunk, wanted.chunk),
@@ -111,13 +132,63 @@ def start_of(spec: ImitationSpec, layout: ObservationSpec) -> Student | None:
         "inputs": (saved.config.inputs, wanted.inputs),
         "layout": (saved.layout, layout),
     }
-    wrong = [name for name, (theirs, ours) in told.items() if theirs != ours]
-    if wrong:
+    if not _differing(told):
+        return student
+    # Networks of other kinds are not taken apart.
+    if isinstance(student, BehaviourCloning) and not isinstance(
+        student.trunk, PaperTrunk
+    ):
+        del told["chunk"]
+        told |= {
+            "network": (network_alone(saved.config.network), wanted.network),
+            "inputs": (inputs_alone(saved.config.inputs), inputs_alone(wanted.inputs)),
+            "layout": (layout_alone(saved.layout), layout_alone(layout)),
+        }
+        if not _differing(told):
+            member, route = _member(student, saved, spec)
+            views = VIEW_NAMES[wanted.inputs.whole_views, wanted.inputs.target_views]
+            if not loses_images(member.views, views):
+                return carried(member, wanted, layout, route, spec.seed)
+            told = {f"choice of views ({member.views}; {views} here)": (0, 1)}
+    raise UsageError(
+        f"the run cannot begin with {spec.start}, which has another {_differing(told)}: give a student that was "
+        "trained with the same --preset and --set, or leave out --start."
+    )
+
+
+def _differing(told: Mapping[str, tuple[object, object]]) -> str:
+    """Names of the pairs that are not equal."""
+    return " and ".join(name for name, (theirs, ours) in told.items() if theirs != ours)
+
+
+def _member(
+    student: BehaviourCloning, saved: Checkpoint, spec: ImitationSpec
+) -> tuple[Member, int]:
+    """The network of a student that a run begins with, and the route on which it acts, 0 of a plain student.
+
+    Raises:
+        UsageError: the new student is not told its subtask, which the network of a joined student is told.
+    """
+    trunk = student.trunk
+    if not isinstance(trunk, RoutedTrunk):
+        return Member(student), 0
+    if not spec.config.student.inputs.condition:
         raise UsageError(
-            f"the run cannot begin with {spec.start}, which has another {' and '.join(wrong)}: give a student that was "
-            "trained with the same --preset, --set, subtasks and targets, or leave out --start."
+            f"the run cannot begin with {spec.start}, a joined student, without inputs.condition=true: each network of "
+            "it is told its subtask. Leave inputs.condition as it is, or leave out --start."
         )
-    return student_of(spec.start, saved)
+    said = [
+        sentence
+        for scene in spec.scenes
+        for sentence in wordings_of(scene, scene.target, START_EPISODES)
+    ]
+    scenes = (saved.about.get("scene", {}), *saved.about.get("also", ()))
+    asked = {scene.subtask for scene in spec.scenes}
+    # A gate does not know sentences of other tasks, and might take a request to place for one to close.
+    fitting = [n for n, scene in enumerate(scenes) if scene.get("subtask") in asked]
+    vectors = torch.stack([torch.tensor(encode_sentence(one)) for one in said])
+    route = int(trunk.route(vectors, fitting).mode().values)
+    return Member(student, trunk.routes[route]), route
 
 
 def resolved_config(spec: ImitationSpec) -> dict[str, Any]:

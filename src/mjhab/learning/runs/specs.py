@@ -286,7 +286,9 @@ class ImitationSpec(TrainSpec):
     start: Annotated[Path | None, Flag(metavar="CHECKPOINT", shown="default: none")] = (
         None
     )
-    """Begin with the weights of this student of the same algorithm, network and inputs, in place of random ones."""
+    """Begin with the weights of this student of the same algorithm and network, in place of random ones. A student of
+    behaviour cloning may see fewer views and know other targets; what is new begins without influence. Of a joined
+    student (see `mjhab policy join`) the network begins that its gate chooses for the sentences of this run."""
     also: Annotated[
         tuple[str, ...],
         Flag(metavar="TASK/SUBTASK[/TARGET] ...", shown="default: none"),

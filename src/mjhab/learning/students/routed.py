@@ -92,9 +92,16 @@ class RoutedTrunk(nn.Module):
         """Normalizer of the vector input of the first expert: each has its own."""
         return self._expert(0).normalizer
 
-    def route(self, vector: Tensor) -> Tensor:
-        """Index (B,) of the route that the newest sentence of observations (B, V) asks for."""
-        return self.gate(vector[:, -SENTENCE_WIDTH:]).argmax(dim=1)
+    def route(self, vector: Tensor, among: Sequence[int] = ()) -> Tensor:
+        """Index (B,) of the route that the newest sentence of observations (B, V) asks for.
+
+        Args:
+            vector: its last columns are the sentence. among: the routes to choose from; all if not given.
+        """
+        asked = self.gate(vector[:, -SENTENCE_WIDTH:])
+        if not among:
+            return asked.argmax(dim=1)
+        return torch.tensor(among)[asked[:, list(among)].argmax(dim=1)]
 
     def encoded(self, vector: Tensor, images: Tensor) -> Tensor:
         """Which expert acts (one-hot), and the input of its layers: (B, E + F)."""

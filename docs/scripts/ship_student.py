@@ -33,7 +33,8 @@ def ship(source: Path, rows: Sequence[str], name: str = "") -> None:
     pack = about["scene"]["assets"]
     if isinstance(pack, dict):
         pack = {**pack, "place": Path(pack["place"]).name}
-    told = [{**about["scene"], "assets": pack, **scene} for scene in scenes]
+    known = {**about["scene"], "assets": pack, "spawns": ""}
+    told = [{**known, **scene} for scene in scenes]
     place = FOLDER / f"{name}{CHECKPOINT_SUFFIX}"
     place.parent.mkdir(exist_ok=True)
     save_compact(source, place, {**about, "scene": told[0], "also": told[1:]})

@@ -13,8 +13,9 @@ from safetensors.torch import load_file
 
 from mjhab.core.errors import UsageError
 from mjhab.learning.assigned.join import KnownRequest, join, joined
+from mjhab.learning.assigned.mean import mean
 from mjhab.learning.assigned.members import member_for
-from mjhab.learning.assigned.spec import PolicyJoinSpec
+from mjhab.learning.assigned.spec import PolicyJoinSpec, PolicyMeanSpec
 from mjhab.learning.checkpoint import (
     load_checkpoint,
     load_student,
@@ -35,6 +36,7 @@ from mjhab.learning.students.members import Member
 from mjhab.learning.students.routed import RoutedTrunk, fit_gate, secondary_weights
 from mjhab.learning.students.student import Student
 from tests.learning.small import SIZE, condition_of, config, layout
+from tests.refusals import refused
 
 WORLDS = 16
 SAID = (
@@ -334,3 +336,46 @@ def test_ppo_goes_on_from_a_joined_student_and_freezes_no_part_of_it() -> None:
     frozen = dataclasses.replace(polish.ppo, freeze_encoder=True)  # type: ignore[type-var]
     with pytest.raises(UsageError, match="policy join"):
         Ppo(dataclasses.replace(polish, ppo=frozen), one.layout, 0, 0, one)
+
+
+def _file_of(path: Path, student: Student, **about: object) -> Path:
+    save_student(path, student, {"scene": Scene(subtask="pick").record(), **about})
+    return path
+
+
+def test_the_mean_of_policies_has_the_mean_of_their_weights(tmp_path: Path) -> None:
+    files = [
+        _file_of(tmp_path / f"{n}.safetensors", random_member(n, FOVEAL)) for n in (1, 2)
+    ]
+    out = tmp_path / "mean.safetensors"
+    done = mean(PolicyMeanSpec(policies=tuple(files), shares=(3.0, 1.0), out=out))
+    assert done.shares == (0.75, 0.25) and done.bytes == out.stat().st_size
+    first, second, made = (load_file(path) for path in (*files, out))
+    assert all(
+        torch.allclose(made[name], 0.75 * first[name] + 0.25 * second[name], atol=1e-6)
+        for name in made
+    )
+    about = load_checkpoint(out).about
+    assert about["algorithm"] == "mean" and len(about["members"]) == 2
+    # Of equal shares, if none are given; the first one's views are seen.
+    wider = _file_of(
+        tmp_path / "wide.safetensors",
+        random_member(3, dataclasses.replace(WHOLE, target_views=True)),
+    )
+    mean(PolicyMeanSpec(policies=(wider, files[0]), out=out))
+    name = "head.bias"
+    assert torch.allclose(
+        load_file(out)[name], (load_file(wider)[name] + first[name]) / 2
+    )
+
+
+def test_policies_that_do_not_fit_have_no_mean(tmp_path: Path) -> None:
+    narrow = _file_of(tmp_path / "a.safetensors", random_member(1, FOVEAL))
+    whole = _file_of(tmp_path / "b.safetensors", random_member(1, WHOLE))
+    out = tmp_path / "mean.safetensors"
+    with pytest.raises(UsageError, match=r"b\.safetensors: has another choice of views"):
+        mean(PolicyMeanSpec(policies=(narrow, whole), out=out))
+    assert not out.exists()
+    for wrong in ({"policies": (narrow,)}, {"shares": (1.0,)}, {"shares": (1.0, 0.0)}):
+        with refused("policies" if "policies" in wrong else "shares"):
+            PolicyMeanSpec(**{"policies": (narrow, whole), "out": out, **wrong})

@@ -426,7 +426,7 @@ def test_a_run_begins_with_the_network_of_a_joined_student(
     assert torch.allclose(made["head.bias"][:width], wanted, atol=1e-5)
     inputs = dataclasses.replace(config().inputs, condition=False)
     untold = train_config(inputs=inputs)
-    with pytest.raises(UsageError, match=r"a joined student, without inputs\.condition"):
+    with pytest.raises(UsageError, match=r"another inputs\.condition: a joined"):
         train_in(dataclasses.replace(begun, preset=untold), tmp_path / "third")
 
 

@@ -157,6 +157,12 @@ COMMANDS: tuple[Command, ...] = (
         "learning.assigned.spec:PolicyJoinSpec",
     ),
     Command(
+        "policy mean",
+        "the mean of the weights of policies that began alike",
+        "policies.mean:run_mean",
+        "learning.assigned.spec:PolicyMeanSpec",
+    ),
+    Command(
         "train bc",
         "behaviour cloning",
         "policies.train:run_train",

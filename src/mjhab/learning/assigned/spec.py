@@ -1,4 +1,4 @@
-"""What ``mjhab policy join`` is asked for."""
+"""What ``mjhab policy join`` and ``mjhab policy mean`` are asked for."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-from mjhab.core.errors import unknown_name
+from mjhab.core.errors import unknown_name, wrong_value
 from mjhab.core.typed.bounds import Output, Positive
 from mjhab.core.typed.flags import Flag
 from mjhab.core.typed.options import take_options
@@ -43,3 +43,38 @@ class PolicyJoinSpec:
         take_options(self)
         if self.views and self.views not in VIEWS:
             raise unknown_name("views", self.views, VIEWS)
+
+
+@dataclass(frozen=True)
+class PolicyMeanSpec:
+    """Make a policy whose weights are the mean of those of several, of which one began with the weights of the other.
+
+    `mjhab policy mean runs/close/student.safetensors before.safetensors --shares 0.6 0.4 --out close.safetensors`
+
+    A policy that is trained on for other starts or homes often loses some of what it knew; the mean with the one
+    before often keeps both (arXiv 2109.01903), and the mean of several such trainings is often better than each
+    (arXiv 2203.05482). Policies that did not begin with the same weights have no useful mean.
+    """
+
+    policies: Annotated[
+        tuple[Path, ...], Flag(metavar="FILE.safetensors ...", positional=True)
+    ]
+    """Two or more checkpoints. The result knows and sees what the first one does; the others may differ from it as what
+    `mjhab train dagger --start` begins with, for instance be a joined policy that the first one began with."""
+    out: Annotated[Path, Output(), Flag(metavar="FILE.safetensors")]
+    """The new checkpoint."""
+    shares: tuple[float, ...] = ()
+    """Share of each, in the order of the policies; equal ones if not given. Their sum need not be 1."""
+
+    def __post_init__(self) -> None:
+        take_options(self)
+        if len(self.policies) < 2:
+            raise wrong_value("policies", len(self.policies), "two or more checkpoints")
+        if self.shares and (
+            len(self.shares) != len(self.policies) or min(self.shares) <= 0
+        ):
+            raise wrong_value(
+                "shares",
+                self.shares,
+                f"one number above 0 for each of the {len(self.policies)} policies",
+            )

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import torch
@@ -12,6 +13,7 @@ from mjhab.core.errors import UsageError
 from mjhab.core.version import __version__
 from mjhab.evaluation.resolve import open_policy
 from mjhab.learning.checkpoint import Checkpoint, load_checkpoint, student_of
+from mjhab.learning.configs import StudentConfig
 from mjhab.learning.demos import goals_of_data, observation_spec_of_data
 from mjhab.learning.observation.sentences import encode_sentence
 from mjhab.learning.observation.spec import (
@@ -21,7 +23,7 @@ from mjhab.learning.observation.spec import (
     observation_spec_of,
 )
 from mjhab.learning.runs.collection import make_env, wordings_of
-from mjhab.learning.runs.specs import ImitationSpec, Resources
+from mjhab.learning.runs.specs import ImitationSpec, Resources, Scene
 from mjhab.learning.students.bc import BehaviourCloning, PaperTrunk
 from mjhab.learning.students.carried import carried
 from mjhab.learning.students.members import (
@@ -114,17 +116,42 @@ def _spoken(goals: Collection[tuple[str, str]]) -> str:
 def start_of(spec: ImitationSpec, layout: ObservationSpec) -> Student | None:
     """The student that the run begins with, of its layout; None for random weights.
 
-    One of behaviour cloning may know other targets, see fewer views and give another chunk, and may be a joined one,
-    of which the network begins that its gate chooses for the run's sentences; see `students.carried`.
-
     Raises:
-        UsageError: the file cannot be read, or is of another algorithm, network or layout.
+        UsageError: the file cannot be read, or does not fit, see `fitting`.
     """
     if spec.start is None:
         return None
-    saved = load_checkpoint(spec.start)
     wanted = spec.config.student
-    student = student_of(spec.start, saved)
+    found, differs = fitting(spec.start, wanted, layout, spec.scenes, spec.seed)
+    if found is None:
+        raise UsageError(
+            f"the run cannot begin with {spec.start}, which has another {differs}: give a student that was "
+            "trained with the same --preset and --set, or leave out --start."
+        )
+    return found
+
+
+def fitting(
+    path: Path,
+    wanted: StudentConfig,
+    layout: ObservationSpec,
+    scenes: Sequence[Scene],
+    like: BehaviourCloning | int = 0,
+) -> tuple[Student | None, str]:
+    """A student of a configuration and a layout that acts as that of a file, and "".
+
+    One of behaviour cloning may know other targets, see fewer views and give another chunk, and may be a joined one,
+    of which the network is taken that its gate chooses for the sentences of ``scenes``; see `students.carried`, also
+    for ``like``.
+
+    Returns:
+        None and what differs, if the student does not fit.
+
+    Raises:
+        UsageError: the file cannot be read.
+    """
+    saved = load_checkpoint(path)
+    student = student_of(path, saved)
     told = {
         "algorithm": (saved.config.algorithm, wanted.algorithm),
         "chunk": (saved.config.chunk, wanted.chunk),
@@ -132,63 +159,49 @@ def start_of(spec: ImitationSpec, layout: ObservationSpec) -> Student | None:
         "inputs": (saved.config.inputs, wanted.inputs),
         "layout": (saved.layout, layout),
     }
-    if not _differing(told):
-        return student
+    if not (differs := _differing(told)):
+        return student, ""
     # Networks of other kinds are not taken apart.
-    if isinstance(student, BehaviourCloning) and not isinstance(
-        student.trunk, PaperTrunk
-    ):
-        del told["chunk"]
-        told |= {
-            "network": (network_alone(saved.config.network), wanted.network),
-            "inputs": (inputs_alone(saved.config.inputs), inputs_alone(wanted.inputs)),
-            "layout": (layout_alone(saved.layout), layout_alone(layout)),
-        }
-        if not _differing(told):
-            member, route = _member(student, saved, spec)
-            views = VIEW_NAMES[wanted.inputs.whole_views, wanted.inputs.target_views]
-            if not loses_images(member.views, views):
-                return carried(member, wanted, layout, route, spec.seed)
-            told = {f"choice of views ({member.views}; {views} here)": (0, 1)}
-    raise UsageError(
-        f"the run cannot begin with {spec.start}, which has another {_differing(told)}: give a student that was "
-        "trained with the same --preset and --set, or leave out --start."
-    )
+    if not isinstance(student, BehaviourCloning) or isinstance(student.trunk, PaperTrunk):
+        return None, differs
+    del told["chunk"]
+    told |= {
+        "network": (network_alone(saved.config.network), wanted.network),
+        "inputs": (inputs_alone(saved.config.inputs), inputs_alone(wanted.inputs)),
+        "layout": (layout_alone(saved.layout), layout_alone(layout)),
+    }
+    if differs := _differing(told):
+        return None, differs
+    member, route = Member(student), 0
+    if isinstance(student.trunk, RoutedTrunk):
+        if not wanted.inputs.condition:
+            return None, "inputs.condition: a joined student's are told their task"
+        route = _route(student.trunk, saved, scenes)
+        member = Member(student, student.trunk.routes[route])
+    views = VIEW_NAMES[wanted.inputs.whole_views, wanted.inputs.target_views]
+    if loses_images(member.views, views):
+        return None, f"choice of views ({member.views}; {views} here)"
+    return carried(member, wanted, layout, route, like), ""
+
+
+def _route(trunk: RoutedTrunk, saved: Checkpoint, scenes: Sequence[Scene]) -> int:
+    """The route that the gate of a joined student chooses for most sentences of some scenes."""
+    said = [
+        sentence
+        for scene in scenes
+        for sentence in wordings_of(scene, scene.target, START_EPISODES)
+    ]
+    known = (saved.about.get("scene", {}), *saved.about.get("also", ()))
+    asked = {scene.subtask for scene in scenes}
+    # A gate does not know sentences of other tasks, and might take a request to place for one to close.
+    among = [n for n, scene in enumerate(known) if scene.get("subtask") in asked]
+    vectors = torch.stack([torch.tensor(encode_sentence(one)) for one in said])
+    return int(trunk.route(vectors, among).mode().values)
 
 
 def _differing(told: Mapping[str, tuple[object, object]]) -> str:
     """Names of the pairs that are not equal."""
     return " and ".join(name for name, (theirs, ours) in told.items() if theirs != ours)
-
-
-def _member(
-    student: BehaviourCloning, saved: Checkpoint, spec: ImitationSpec
-) -> tuple[Member, int]:
-    """The network of a student that a run begins with, and the route on which it acts, 0 of a plain student.
-
-    Raises:
-        UsageError: the new student is not told its subtask, which the network of a joined student is told.
-    """
-    trunk = student.trunk
-    if not isinstance(trunk, RoutedTrunk):
-        return Member(student), 0
-    if not spec.config.student.inputs.condition:
-        raise UsageError(
-            f"the run cannot begin with {spec.start}, a joined student, without inputs.condition=true: each network of "
-            "it is told its subtask. Leave inputs.condition as it is, or leave out --start."
-        )
-    said = [
-        sentence
-        for scene in spec.scenes
-        for sentence in wordings_of(scene, scene.target, START_EPISODES)
-    ]
-    scenes = (saved.about.get("scene", {}), *saved.about.get("also", ()))
-    asked = {scene.subtask for scene in spec.scenes}
-    # A gate does not know sentences of other tasks, and might take a request to place for one to close.
-    fitting = [n for n, scene in enumerate(scenes) if scene.get("subtask") in asked]
-    vectors = torch.stack([torch.tensor(encode_sentence(one)) for one in said])
-    route = int(trunk.route(vectors, fitting).mode().values)
-    return Member(student, trunk.routes[route]), route
 
 
 def resolved_config(spec: ImitationSpec) -> dict[str, Any]:

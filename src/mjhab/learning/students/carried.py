@@ -23,7 +23,7 @@ def carried(
     config: StudentConfig,
     layout: ObservationSpec,
     route: int = 0,
-    seed: int = 0,
+    like: BehaviourCloning | int = 0,
 ) -> BehaviourCloning:
     """A plain student of another layout that acts as a member does on what both know.
 
@@ -34,18 +34,19 @@ def carried(
         member: of the same network, state and actions; its views are among those of the new student.
         config: of the new student, with the algorithm "bc". layout: of the new student.
         route: of a joined policy, that on which the member is to act: it is told this for every kind of subtask.
-        seed: of the weights that nobody has.
+        like: whose encoders the images have that are new to the member; or the seed of random ones.
     """
-    made = make_student(config, layout, seed)
+    known = isinstance(like, BehaviourCloning)
+    made = make_student(config, layout, 0 if known else like)
     assert isinstance(made, BehaviourCloning)
     assert isinstance(made.trunk, Trunk)
     weight, bias = member.normalized_head
     width = len(layout.actions)
-    known = len(bias) // width
+    last = len(bias) // width - 1
     # The last action again and again where the new chunk is longer.
-    steps = [min(step, known - 1) for step in range(config.chunk)]
+    steps = [min(step, last) for step in range(config.chunk)]
     rows = [step * width + action for step in steps for action in range(width)]
-    encoders = dict.fromkeys(layout.image_keys)
+    encoders = Member(like if known else made).encoders
     with torch.no_grad():
         take_over(made.trunk, member, _codes(member, layout, route), encoders)
         made.head.weight.copy_(weight[rows])

@@ -388,7 +388,9 @@ def test_a_run_begins_with_the_weights_of_another(source: Path, tmp_path: Path) 
     assert resolved["start"] == str(student)
     network = dataclasses.replace(config().network, hidden=24)
     other = train_config(network=network)
-    with pytest.raises(UsageError, match="which has another network: give a student"):
+    with pytest.raises(
+        UsageError, match=r"which has another network \(hidden\): give a student"
+    ):
         train_in(request(source, preset=other, start=student), tmp_path / "third")
     assert not (tmp_path / "third").exists()
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict, fields, is_dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -199,9 +199,24 @@ def _route(trunk: RoutedTrunk, saved: Checkpoint, scenes: Sequence[Scene]) -> in
     return int(trunk.route(vectors, among).mode().values)
 
 
-def _differing(told: Mapping[str, tuple[object, object]]) -> str:
-    """Names of the pairs that are not equal."""
-    return " and ".join(name for name, (theirs, ours) in told.items() if theirs != ours)
+def _differing(told: Mapping[str, tuple[Any, Any]]) -> str:
+    """Names of the pairs that are not equal, with the fields in which they differ."""
+    found = []
+    for name, (theirs, ours) in told.items():
+        if theirs == ours:
+            continue
+        wrong = [
+            field.name
+            for field in (fields(theirs) if is_dataclass(theirs) else ())
+            # The inputs of a layout are a pair of their own.
+            if field.name != "inputs"
+            and getattr(theirs, field.name) != getattr(ours, field.name)
+        ]
+        if wrong:
+            found.append(f"{name} ({', '.join(wrong)})")
+        elif not isinstance(theirs, ObservationSpec):
+            found.append(name)
+    return " and ".join(found)
 
 
 def resolved_config(spec: ImitationSpec) -> dict[str, Any]:

@@ -101,3 +101,14 @@ def test_a_network_of_a_joined_student_acts_alone_as_on_its_route() -> None:
             told = _told(made, measured, route.scene.subtask, target)
             done = acts(made, told, _images(made.layout, seen))
             assert np.abs(done - wanted).max() < 1e-5
+
+
+def test_a_student_without_images_is_carried_over_to_other_targets() -> None:
+    blind = InputConfig(cameras=(), image_size=0, whole_views=False)
+    start = random_member(1, blind)
+    made = carried(Member(start), *_wanted(start, blind, 2))
+    measured, _ = _seen(made.layout)
+    none = np.zeros((WORLDS, 0, 0, 0), np.uint8)
+    before = acts(start, _told(start, measured, "pick", "024_bowl"), none)
+    after = acts(made, _told(made, measured, "pick", "024_bowl"), none)
+    assert np.abs(after - before[:, :2]).max() < 1e-5

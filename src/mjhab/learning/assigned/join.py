@@ -233,7 +233,7 @@ def joined(
                 code(member, route) if route.member == number else unasked(member)
                 for route in routes
             ]
-            keys = keys_of(made.config.inputs, made.config.network.experts[number])
+            keys = keys_of(made.config.inputs, VIEWS[made.config.network.experts[number]])
             seen = {key: known.get(key) for key in keys}
             take_over(expert, member, torch.stack(codes, dim=1), seen)
             weight, bias = member.head
@@ -251,7 +251,7 @@ def _joined_network(
     """The network of a joined policy, with random weights; arguments and errors as `joined`."""
     first = members[0].student
     for member in members:
-        if views and loses_images(member.views, views):
+        if views and loses_images(member.sees, VIEWS[views]):
             raise wrong_value(
                 "views",
                 views,

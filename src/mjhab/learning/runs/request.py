@@ -33,6 +33,7 @@ from mjhab.learning.students.members import (
     layout_alone,
     loses_images,
     network_alone,
+    views_of,
 )
 from mjhab.learning.students.routed import RoutedTrunk
 from mjhab.learning.students.student import Student
@@ -178,9 +179,9 @@ def fitting(
             return None, "inputs.condition: a joined student's are told their task"
         route = _route(student.trunk, saved, scenes)
         member = Member(student, student.trunk.routes[route])
-    views = VIEW_NAMES[wanted.inputs.whole_views, wanted.inputs.target_views]
-    if loses_images(member.views, views):
-        return None, f"choice of views ({member.views}; {views} here)"
+    if loses_images(member.sees, views_of(wanted.inputs)):
+        here = VIEW_NAMES.get(views_of(wanted.inputs), "none")
+        return None, f"choice of views ({member.views}; {here} here)"
     return carried(member, wanted, layout, route, like), ""
 
 

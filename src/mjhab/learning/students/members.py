@@ -39,17 +39,21 @@ class Member:
         return cast("Trunk", cast("RoutedTrunk", trunk).experts[self.expert])
 
     @property
+    def sees(self) -> tuple[bool, bool]:
+        """Whether it sees whole images and views of the target."""
+        if self.expert is not None:
+            return VIEWS[self.student.config.network.experts[self.expert]]
+        return views_of(self.student.config.inputs)
+
+    @property
     def views(self) -> str:
         """Which views of the cameras it sees, one of VIEWS."""
-        if self.expert is not None:
-            return self.student.config.network.experts[self.expert]
-        inputs = self.student.config.inputs
-        return VIEW_NAMES[inputs.whole_views, inputs.target_views]
+        return VIEW_NAMES[self.sees]
 
     @property
     def encoders(self) -> dict[str, nn.Module]:
         """The encoders of the images that it sees, by key of the observation."""
-        keys = keys_of(self.student.config.inputs, self.views)
+        keys = keys_of(self.student.config.inputs, self.sees)
         return dict(zip(keys, self.trunk.encoder.encoders, strict=True))
 
     @property
@@ -73,18 +77,21 @@ class Member:
         return weight * scale[:, None], bias * scale + mean
 
 
-def keys_of(inputs: InputConfig, views: str) -> tuple[str, ...]:
-    """Keys of the images of a network that sees some views, one of VIEWS."""
-    whole, target = VIEWS[views]
+def views_of(inputs: InputConfig) -> tuple[bool, bool]:
+    """Whether a student sees whole images and views of the target."""
+    return inputs.whole_views, inputs.target_views
+
+
+def keys_of(inputs: InputConfig, sees: tuple[bool, bool]) -> tuple[str, ...]:
+    """Keys of the images of a network that sees some views, as `views_of`."""
+    whole, target = sees
     seen = dataclasses.replace(inputs, whole_views=whole, target_views=target)
     return image_keys(seen)
 
 
-def loses_images(before: str, after: str) -> bool:
-    """Whether a network of some views, one of VIEWS, sees others no longer."""
-    return any(
-        its and not still for its, still in zip(VIEWS[before], VIEWS[after], strict=True)
-    )
+def loses_images(before: tuple[bool, bool], after: tuple[bool, bool]) -> bool:
+    """Whether a network that has seen some views, as `views_of`, sees one of them no longer."""
+    return any(its and not still for its, still in zip(before, after, strict=True))
 
 
 def network_alone(network: NetworkConfig) -> NetworkConfig:

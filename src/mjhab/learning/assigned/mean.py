@@ -5,6 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+import torch
+
+from mjhab.core.arithmetic.sums import ordered_sum
 from mjhab.core.errors import fault
 from mjhab.core.typed.options import read_record
 from mjhab.learning.assigned.spec import PolicyMeanSpec
@@ -46,13 +49,13 @@ def mean(spec: PolicyMeanSpec) -> MeanPolicy:
             raise fault(path, f"has another {differs} than {first}: they have no mean.")
         students.append(found)
     given = spec.shares or (1.0,) * len(students)
-    shares = tuple(share / sum(given) for share in given)
+    whole = ordered_sum(given)
+    shares = tuple(share / whole for share in given)
     weights = [student.state_dict() for student in students]
+    factors = torch.tensor(shares)
     made.load_state_dict(
         {
-            name: sum(
-                share * one[name] for share, one in zip(shares, weights, strict=True)
-            )
+            name: torch.tensordot(factors, torch.stack([one[name] for one in weights]), 1)
             for name in weights[0]
         }
     )

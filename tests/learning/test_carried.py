@@ -78,12 +78,11 @@ def test_a_student_acts_as_before_with_more_views_targets_and_another_chunk(
     for step in range(chunk):
         # A longer chunk goes on with the last known action.
         assert np.abs(after[:, step] - before[:, min(step, known - 1)]).max() < 1e-5
-    # The new views and the known target are inputs, all the same.
+    # The target that it knows still matters.
     with_target = _told(made, measured, "pick", "kitchen_counter/drawer3", asked[2])
     assert (
         np.abs(acts(made, with_target, _images(made.layout, seen)) - after).max() > 1e-3
     )
-    assert len(Member(made).encoders) == 2
 
 
 def test_a_network_of_a_joined_student_acts_alone_as_on_its_route() -> None:
@@ -96,7 +95,7 @@ def test_a_network_of_a_joined_student_acts_alone_as_on_its_route() -> None:
         measured, seen = _seen(made.layout)
         said = np.tile(encode_sentence(route.sentences[0]), (WORLDS, 1))
         wanted = acts(whole, np.hstack([measured, said]), _images(whole.layout, seen))
-        # It never knew a target: each of them is told to it in vain.
+        # The network on the route was told no target, so that none matters.
         for target in MORE:
             told = _told(made, measured, route.scene.subtask, target)
             done = acts(made, told, _images(made.layout, seen))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import math
 from pathlib import Path
 
 import numpy as np
@@ -363,10 +364,14 @@ def test_the_mean_of_policies_has_the_mean_of_their_weights(tmp_path: Path) -> N
         random_member(3, dataclasses.replace(WHOLE, target_views=True)),
     )
     mean(PolicyMeanSpec(policies=(wider, files[0]), out=out))
+    made, wide = load_file(out), load_file(wider)
     name = "head.bias"
-    assert torch.allclose(
-        load_file(out)[name], (load_file(wider)[name] + first[name]) / 2
-    )
+    assert torch.allclose(made[name], (wide[name] + first[name]) / 2)
+    # Image 0 is the whole one, which only the first policy sees: its encoder stays as it is.
+    encoder = "trunk.encoder.encoders.{}.head.0.weight"
+    assert torch.allclose(made[encoder.format(0)], wide[encoder.format(0)])
+    seen = (wide[encoder.format(1)] + first[encoder.format(0)]) / 2
+    assert torch.allclose(made[encoder.format(1)], seen)
 
 
 def test_policies_that_do_not_fit_have_no_mean(tmp_path: Path) -> None:
@@ -376,6 +381,11 @@ def test_policies_that_do_not_fit_have_no_mean(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match=r"b\.safetensors: has another choice of views"):
         mean(PolicyMeanSpec(policies=(narrow, whole), out=out))
     assert not out.exists()
-    for wrong in ({"policies": (narrow,)}, {"shares": (1.0,)}, {"shares": (1.0, 0.0)}):
+    for wrong in (
+        {"policies": (narrow,)},
+        {"shares": (1.0,)},
+        {"shares": (1.0, 0.0)},
+        {"shares": (1.0, math.nan)},
+    ):
         with refused("policies" if "policies" in wrong else "shares"):
             PolicyMeanSpec(**{"policies": (narrow, whole), "out": out, **wrong})

@@ -14,7 +14,6 @@ import torch
 
 from mjhab.core.errors import UsageError, fault, wrong_value
 from mjhab.core.files.reading import is_file
-from mjhab.core.typed.options import read_record
 from mjhab.learning.assigned.entries import Entry
 from mjhab.learning.assigned.files import entries_in, read_entries
 from mjhab.learning.assigned.members import (
@@ -22,6 +21,7 @@ from mjhab.learning.assigned.members import (
     code,
     member_for,
     readable,
+    scenes_of,
     unasked,
 )
 from mjhab.learning.assigned.spec import PolicyJoinSpec
@@ -139,18 +139,8 @@ def _asked(entry: Entry, saved: Checkpoint, spec: PolicyJoinSpec) -> list[Asked]
     Raises:
         UsageError: the policy was not trained for it, or its homes are not found.
     """
-    about = saved.about
-    try:
-        scenes = [
-            read_record(Scene, told, "scene")
-            for told in (about.get("scene"), *about.get("also", ()))
-        ]
-    except (TypeError, ValueError) as error:
-        raise fault(
-            entry.checkpoint, f"does not say what it was trained for ({error})."
-        ) from error
     found = []
-    for scene in scenes:
+    for scene in scenes_of(entry.checkpoint, saved):
         named = entry.target or scene.target
         if (
             scene.subtask != entry.subtask

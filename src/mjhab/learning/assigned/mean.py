@@ -9,11 +9,10 @@ import torch
 
 from mjhab.core.arithmetic.sums import ordered_sum
 from mjhab.core.errors import fault
-from mjhab.core.typed.options import read_record
+from mjhab.learning.assigned.members import scenes_of
 from mjhab.learning.assigned.spec import PolicyMeanSpec
 from mjhab.learning.checkpoint import load_checkpoint, save_student, student_of
 from mjhab.learning.runs.request import fitting
-from mjhab.learning.runs.specs import Scene
 from mjhab.learning.students.bc import BehaviourCloning
 from mjhab.learning.students.student import Student
 
@@ -33,18 +32,15 @@ def mean(spec: PolicyMeanSpec) -> MeanPolicy:
     Raises:
         UsageError: a file cannot be read, or does not fit the first one.
     """
-    first, *others = spec.policies
-    saved = load_checkpoint(first)
-    scenes = [
-        read_record(Scene, told, "scene")
-        for told in (saved.about.get("scene", {}), *saved.about.get("also", ()))
-    ]
+    first = spec.policies[0]
+    saved, *others = [load_checkpoint(path) for path in spec.policies]
+    scenes = scenes_of(first, saved)
     made = student_of(first, saved)
     students: list[Student] = [made]
     # The encoders of images that another does not see have no mean but themselves.
     like = made if isinstance(made, BehaviourCloning) else 0
-    for path in others:
-        found, differs = fitting(path, saved.config, saved.layout, scenes, like)
+    for path, other in zip(spec.policies[1:], others, strict=True):
+        found, differs = fitting(path, other, saved.config, saved.layout, scenes, like)
         if found is None:
             raise fault(path, f"has another {differs} than {first}: they have no mean.")
         students.append(found)
@@ -63,7 +59,7 @@ def mean(spec: PolicyMeanSpec) -> MeanPolicy:
         **saved.about,
         "algorithm": "mean",
         "shares": list(shares),
-        "members": [dict(load_checkpoint(path).about) for path in spec.policies],
+        "members": [dict(one.about) for one in (saved, *others)],
     }
     save_student(spec.out, made, about)
     return MeanPolicy(spec.out, spec.out.stat().st_size, shares)

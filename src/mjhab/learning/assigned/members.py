@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from mjhab.core.errors import fault
+from mjhab.core.typed.options import read_record
 from mjhab.learning.checkpoint import Checkpoint, student_of
 from mjhab.learning.configs import BC
 from mjhab.learning.networks import Trunk
@@ -67,6 +68,22 @@ def member_for(student: BehaviourCloning, asked: Asked) -> Member:
     if not isinstance(trunk, RoutedTrunk):
         return Member(student)
     return Member(student, trunk.routes[_route(trunk, asked)])
+
+
+def scenes_of(file: str | Path, saved: Checkpoint) -> list[Scene]:
+    """Where a policy was trained.
+
+    Raises:
+        UsageError: its checkpoint does not say.
+    """
+    about = saved.about
+    try:
+        return [
+            read_record(Scene, told, "scene")
+            for told in (about.get("scene"), *about.get("also", ()))
+        ]
+    except (TypeError, ValueError) as error:
+        raise fault(file, f"does not say what it was trained for ({error}).") from error
 
 
 def readable(files: Sequence[str], saved: Sequence[Checkpoint]) -> list[BehaviourCloning]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -47,7 +48,7 @@ class PolicyJoinSpec:
 
 @dataclass(frozen=True)
 class PolicyMeanSpec:
-    """Make a policy whose weights are the mean of those of several, of which one began with the weights of the other.
+    """Average the weights of policies that began alike, for instance of a policy before and after more training.
 
     `mjhab policy mean runs/close/student.safetensors before.safetensors --shares 0.6 0.4 --out close.safetensors`
 
@@ -71,7 +72,8 @@ class PolicyMeanSpec:
         if len(self.policies) < 2:
             raise wrong_value("policies", len(self.policies), "two or more checkpoints")
         if self.shares and (
-            len(self.shares) != len(self.policies) or min(self.shares) <= 0
+            len(self.shares) != len(self.policies)
+            or not all(0.0 < share < math.inf for share in self.shares)
         ):
             raise wrong_value(
                 "shares",

@@ -123,7 +123,8 @@ def start_of(spec: ImitationSpec, layout: ObservationSpec) -> Student | None:
     if spec.start is None:
         return None
     wanted = spec.config.student
-    found, differs = fitting(spec.start, wanted, layout, spec.scenes, spec.seed)
+    saved = load_checkpoint(spec.start)
+    found, differs = fitting(spec.start, saved, wanted, layout, spec.scenes, spec.seed)
     if found is None:
         raise UsageError(
             f"the run cannot begin with {spec.start}, which has another {differs}: give a student that was "
@@ -134,12 +135,13 @@ def start_of(spec: ImitationSpec, layout: ObservationSpec) -> Student | None:
 
 def fitting(
     path: Path,
+    saved: Checkpoint,
     wanted: StudentConfig,
     layout: ObservationSpec,
     scenes: Sequence[Scene],
     like: BehaviourCloning | int = 0,
 ) -> tuple[Student | None, str]:
-    """A student of a configuration and a layout that acts as that of a file, and "".
+    """A student of a configuration and a layout that acts as that of a checkpoint and its file, and "".
 
     One of behaviour cloning may know other targets, see fewer views and give another chunk, and may be a joined one,
     of which the network is taken that its gate chooses for the sentences of ``scenes``; see `students.carried`, also
@@ -149,9 +151,8 @@ def fitting(
         None and what differs, if the student does not fit.
 
     Raises:
-        UsageError: the file cannot be read.
+        UsageError: the weights are damaged.
     """
-    saved = load_checkpoint(path)
     student = student_of(path, saved)
     told = {
         "algorithm": (saved.config.algorithm, wanted.algorithm),

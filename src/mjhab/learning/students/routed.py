@@ -101,7 +101,9 @@ class RoutedTrunk(nn.Module):
         asked = self.gate(vector[:, -SENTENCE_WIDTH:])
         if not among:
             return asked.argmax(dim=1)
-        return torch.tensor(among)[asked[:, list(among)].argmax(dim=1)]
+        return torch.tensor(among, device=asked.device)[
+            asked[:, list(among)].argmax(dim=1)
+        ]
 
     def encoded(self, vector: Tensor, images: Tensor) -> Tensor:
         """Which expert acts (one-hot), and the input of its layers: (B, E + F)."""

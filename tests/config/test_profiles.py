@@ -262,5 +262,10 @@ def test_runs_tell_the_profile_and_the_values_in_force() -> None:
         again = recorded_env(recorded, num_envs=1, threads=1)
         assert again.config.joint_dynamics == again.layout.joint_dynamics == dynamics
         again.close()
+    # Nor was there a choice of what fingers do in a teleport.
+    assert run.config["env"].pop("teleport_fingers") == "still"
+    again = recorded_env(run, num_envs=1, threads=1)
+    assert again.config.teleport_fingers == "commanded"
+    again.close()
     # What is only seen or said of an episode is not part of what happened in it.
     assert not {"frame_stack", "cameras", "reward_formula"} & set(run.config["env"])

@@ -92,6 +92,27 @@ def test_teleport_brings_every_world_near_and_facing_without_contact():
     )
 
 
+def fingers_after_teleport(**options: str) -> tuple[np.ndarray, np.ndarray]:
+    """Positions [m] and speeds [m/s] (W, 2) of the fingers as Open begins, the first subtask after a teleport."""
+    env = build(task="set_table", num_envs=2, **options)
+    env.reset(seed=0)
+    while (env.progress.pointer == 0).any():
+        env.step(still(env))
+    columns = env.layout.robot.columns.fingers
+    return env.state.robot_q[:, columns], env.state.robot_qd[:, columns]
+
+
+def test_fingers_of_an_empty_hand_rest_when_a_teleport_ends():
+    position, speed = fingers_after_teleport()
+    np.testing.assert_allclose(position, 0.015, atol=1e-6)
+    assert np.abs(speed).max() < 1e-6
+    # What was recorded before there was a choice follows the last command, that of an open hand at the start.
+    position, speed = fingers_after_teleport(teleport_fingers="commanded")
+    assert position.min() > 0.025 and speed.min() > 0.2
+    with refused("fingers in teleports", "loose", expected="still"):
+        build(task="set_table", teleport_fingers="loose")
+
+
 def test_worlds_can_be_in_different_subtasks():
     env = build(task="tidy_house", num_envs=4)
     env.reset(seed=0)

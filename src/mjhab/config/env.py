@@ -44,6 +44,9 @@ OBS_KEYS = (FLAT, NESTED, WHOLE)
 DENSE_MODES = ("dense", "normalized_dense")
 REWARD_MODES = ("pointer", "sparse", *DENSE_MODES, "none")
 NAVIGATE_MODES = ("teleport", "drive")
+STILL_FINGERS = "still"
+COMMANDED_FINGERS = "commanded"
+TELEPORT_FINGERS = (STILL_FINGERS, COMMANDED_FINGERS)
 OF_PROFILE: Any = None
 """Default of the options whose value the profile determines."""
 PERTURBING = ("perturb", "randomise")
@@ -192,6 +195,10 @@ class EnvConfig:
     navigate: Annotated[str, Flag(metavar="teleport|drive")] = "teleport"
     """In a whole task: teleport puts the robot near every goal, as in the paper; drive leaves driving to the policy,
     and arm and grasp count. Navigate alone is always driven."""
+    teleport_fingers: Annotated[str, Flag(hidden=True)] = STILL_FINGERS
+    """Fingers of an empty hand in the control step of a teleport: "still" in the rest posture, as where a subtask is
+    drawn alone, or "commanded", which follow the last command of the subtask before, so that the next one begins while
+    they move. What was recorded without it had "commanded"."""
     render_mode: Annotated[str | None, Flag(hidden=True)] = ""
     """"rgb_array" makes ``render()`` give human views."""
     backend: Annotated[str, Flag(metavar="cpu|warp|auto")] = "cpu"
@@ -239,6 +246,7 @@ class EnvConfig:
         _known("kind of joint angles", self.joint_angles, JOINT_ANGLES)
         _known("joint dynamics", self.joint_dynamics, JOINT_DYNAMICS)
         _known("navigate mode", self.navigate, NAVIGATE_MODES)
+        _known("fingers in teleports", self.teleport_fingers, TELEPORT_FINGERS)
         _known("render mode", self.render_mode or "", RENDER_MODES)
         _known("backend", self.backend, BACKENDS)
         _known("stillness", self.stillness, STILLNESS)

@@ -112,7 +112,8 @@ def make(**options: Any) -> Any:
             - actions: control_mode, base, stationary
             - reward: reward_mode, reward_scales, reward_formula, reward_normaliser
             - what is perturbed: perturb, randomise
-            - how it is judged: horizon, continuous, stillness, force_limits, overrides, navigate
+            - how it is judged: horizon, continuous, stillness, force_limits, overrides, navigate,
+              teleport_fingers
 
     Returns:
         A `SequentialTaskEnv`, with backend warp a `DeviceEnv`.

@@ -20,7 +20,7 @@ from gymnasium.envs.registration import EnvSpec
 from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 
-from mjhab.config.env import NESTED, EnvConfig
+from mjhab.config.env import NESTED, STILL_FINGERS, EnvConfig
 from mjhab.config.thresholds import task_config
 from mjhab.core.arrays import (
     Array,
@@ -363,12 +363,20 @@ class TaskLoop(BackendWorlds):
         return broken
 
     def _held_still(self, actions: Array) -> Array:
-        """Actions (W, A) in which worlds that navigate by teleport keep their joint positions and gripper command."""
+        """Actions (W, A) in which worlds that navigate by teleport keep their joint positions and what they hold.
+
+        For the fingers of an empty hand see ``teleport_fingers`` of `EnvConfig`.
+        """
         teleporting = self.focus.navigates
         if not may_hold(teleporting):
             return actions
         still = self.controller.still(self.state)
-        still[:, self.controller.gripper] = self.grip
+        grip = self.grip
+        if self.config.teleport_fingers == STILL_FINGERS:
+            assert self.signals is not None
+            there = self.controller.present_grip(self.state)
+            grip = self._xp.where(self.signals.is_grasped, grip, there)
+        still[:, self.controller.gripper] = grip
         return self._xp.where(teleporting[:, None], still, actions)
 
     def _sense(self) -> WorldState:

@@ -6,7 +6,7 @@ import dataclasses
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mjhab.config.env import EnvConfig
+from mjhab.config.env import COMMANDED_FINGERS, EnvConfig
 from mjhab.core.conventions.names import UNWRAPPED
 from mjhab.core.errors import fault, missing_field, unknown_name
 from mjhab.core.typed.options import with_tuples
@@ -43,6 +43,7 @@ def recorded_env(run: RunInfo, **options: Any) -> SequentialTaskEnv:
             raise unknown_name("environment option of the recorded episodes", name, known)
     # What older versions had no option for.
     config.setdefault("joint_angles", UNWRAPPED)
+    config.setdefault("teleport_fingers", COMMANDED_FINGERS)
     assets = pack_request(config.get("assets", "builtin"), recorded=True)
     config["assets"] = assets.as_json()
     # All option values of the profile are recorded; its name would only forbid other cameras.

@@ -236,6 +236,13 @@ class Controller:
             actions[:, self._body] = q[:, self._body_columns]
         return actions
 
+    def present_grip(self, state: JointState) -> Array:
+        """Return the gripper entries (W,) float32 of actions that leave the fingers where they are."""
+        xp = namespace(state.robot_q)
+        low, high = self.limits.gripper
+        fingers = state.robot_q[:, self._finger_columns].mean(-1)
+        return xp.astype((2.0 * fingers - low - high) / (high - low), xp.float32)
+
     def reset(self, mask: Array, state: JointState) -> None:
         """Set the targets of the worlds of ``mask`` (W,) bool to the measured positions, after a reset or teleport."""
         q = state.robot_q

@@ -59,6 +59,17 @@ def _env(rows: Iterable[Row]) -> str:
     return table((*head, "stages of a step of all worlds [ms]"), lines)
 
 
+def pictures() -> str:
+    """Stages of the pictures on a GPU."""
+    lines = []
+    for row in read("gpu-pictures")["points"]:
+        stages = ", ".join(f"{name} {each:.1f}" for name, each in row["stages_ms"].items())
+        counts = [f"{row['worlds']:,}", f"{row['images']:,}", stages]
+        lines.append([f"{row['size']} px", *counts, f"{row['images_per_s']:,}"])
+    head = ("images", "worlds", "images per step", "stages [ms]", "images/s")
+    return table(head, lines) + source("gpu-pictures")
+
+
 def sleep() -> str:
     """What sleeping costs and changes."""
     lines = []
@@ -108,6 +119,7 @@ TABLES = {
     "gpu_h200_interact": h200_interact,
     "gpu_h200_env": h200_env,
     "gpu_h200_divergence": h200_divergence,
+    "gpu_pictures": pictures,
     "gpu_host_interact": host_interact,
     "gpu_host_env": host_env,
     "gpu_sleep": sleep,

@@ -124,3 +124,13 @@ def test_each_of_two_processes_goes_on_with_its_own_buffer(left: Path) -> None:
     wanted = whole.tensors
     found = load_checkpoint(left / "killed" / "training.safetensors").tensors
     assert all(torch.equal(value, found[name]) for name, value in wanted.items())
+
+
+@pytest.mark.parametrize(
+    ("processes", "gpus", "nccl"),
+    [(2, 0, False), (4, 1, False), (1, 1, True), (8, 8, True)],
+)
+def test_nccl_only_where_every_process_has_a_gpu(
+    processes: int, gpus: int, nccl: bool
+) -> None:
+    assert ("nccl" in distributed.backends(processes, gpus)) is nccl

@@ -109,7 +109,7 @@ class PpoSpec(ReinforcementSpec):
     `mjhab train ppo --task set_table --subtask close --target kitchen_counter/drawer3 --preset fast
     --budget-minutes 20 --out runs/ppo`
 
-    `torchrun --nproc-per-node 2 -m mjhab.cli.main train ppo ...` trains with two processes.
+    `torchrun --nproc-per-node 2 -m -- mjhab.cli.main train ppo ...` trains with two processes.
     """
 
     ALGORITHM: ClassVar[str] = PPO

@@ -1,6 +1,6 @@
 """Data-parallel training with torch.distributed: processes average gradients and statistics, not data.
 
-Start it with `torchrun --nproc-per-node N -m mjhab.cli.main train ...`. Every process has its own worlds and seeds.
+Start it with `torchrun --nproc-per-node N -m -- mjhab.cli.main train ...`. Every process has its own worlds and seeds.
 With a single process every function here leaves its input unchanged.
 """
 
@@ -16,10 +16,19 @@ from torch import Tensor
 
 def join() -> None:
     """Join the process group if torchrun started more than one process."""
-    if int(os.environ.get("WORLD_SIZE", "1")) > 1 and not dist.is_initialized():
-        # Networks lie on GPUs, while divergences, and worlds of backend cpu, are tensors of the host.
-        on_gpu = torch.cuda.is_available()
-        dist.init_process_group("cpu:gloo,cuda:nccl" if on_gpu else "gloo")
+    count = int(os.environ.get("WORLD_SIZE", "1"))
+    if count > 1 and not dist.is_initialized():
+        here = int(os.environ.get("LOCAL_WORLD_SIZE", count))
+        dist.init_process_group(backends(here, torch.cuda.device_count()))
+
+
+def backends(processes: int, gpus: int) -> str:
+    """Backends of torch.distributed for ``processes`` on a machine with ``gpus``."""
+    # NCCL refuses processes that share a GPU; gloo takes tensors of GPUs, too, by way of the host.
+    if gpus < processes:
+        return "gloo"
+    # Networks lie on GPUs, while divergences, and worlds of backend cpu, are tensors of the host.
+    return "cpu:gloo,cuda:nccl"
 
 
 def rank() -> int:

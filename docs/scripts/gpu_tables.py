@@ -63,7 +63,9 @@ def pictures() -> str:
     """Stages of the pictures on a GPU."""
     lines = []
     for row in read("gpu-pictures")["points"]:
-        stages = ", ".join(f"{name} {each:.1f}" for name, each in row["stages_ms"].items())
+        stages = ", ".join(
+            f"{name} {each:.1f}" for name, each in row["stages_ms"].items()
+        )
         counts = [f"{row['worlds']:,}", f"{row['images']:,}", stages]
         lines.append([f"{row['size']} px", *counts, f"{row['images_per_s']:,}"])
     head = ("images", "worlds", "images per step", "stages [ms]", "images/s")

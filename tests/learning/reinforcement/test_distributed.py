@@ -1,4 +1,4 @@
-"""Two processes: their averaged gradients, and runs of both that go on after a kill."""
+"""Two processes: their averaged gradients, runs of both that go on after a kill, and what is told."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import pytest
 import torch
 from torch.multiprocessing.spawn import spawn
 
+from mjhab.cli.policies import train as command
 from mjhab.learning.checkpoint import load_checkpoint
 from mjhab.learning.reinforcement import session as sessions
 from mjhab.learning.reinforcement.agent_encoder import AgentObs
@@ -20,6 +21,7 @@ from mjhab.learning.reinforcement.ppo.learner import PpoLearner
 from mjhab.learning.reinforcement.ppo.rollout import Rollout
 from mjhab.learning.reinforcement.worlds import Worlds
 from mjhab.learning.runs import distributed
+from mjhab.learning.runs.run import TrainingResult
 from tests.learning.reinforcement.test_runs import TINY, Killed, request
 from tests.learning.reinforcement.toy import LAYOUT, PPO_TOY, Toy, encoder_of
 from tests.learning.small import train_in
@@ -134,3 +136,19 @@ def test_nccl_only_where_every_process_has_a_gpu(
     processes: int, gpus: int, nccl: bool
 ) -> None:
     assert ("nccl" in distributed.backends(processes, gpus)) is nccl
+
+
+@pytest.mark.parametrize(("rank", "lines"), [(0, 1), (1, 0)])
+def test_the_first_process_alone_tells_the_results(
+    rank: int,
+    lines: int,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    summary = {"trained": True, "success_once": None, "checkpoint": "here"}
+    result = TrainingResult(summary, tmp_path / "report.html", interrupted=False)
+    monkeypatch.setattr(command, "train_spec", lambda spec: result)
+    monkeypatch.setattr(distributed, "rank", lambda: rank)
+    assert command.run_train(request(TINY), json=True) == 0
+    assert len(capsys.readouterr().out.splitlines()) == lines

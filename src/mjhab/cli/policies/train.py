@@ -11,6 +11,7 @@ from mjhab.cli.output import report
 from mjhab.core.files.interrupts import sigterm_interrupts
 from mjhab.core.progress import say
 from mjhab.learning.reinforcement.specs import ReinforcementSpec
+from mjhab.learning.runs import distributed
 from mjhab.learning.runs.run import TRAINING, TrainingResult
 from mjhab.learning.runs.specs import SECONDS_PER_MINUTE, ImitationSpec, TrainSpec
 from mjhab.learning.train import train_spec
@@ -22,7 +23,7 @@ UNTRAINED = (
 
 
 def run_train(spec: ImitationSpec | ReinforcementSpec, json: bool) -> int:
-    """Run the command.
+    """Run the command. Of several processes (`runs.distributed`) the first tells the results.
 
     Returns:
         0; 130 after Ctrl-C or SIGTERM (a checkpoint is kept, if training had begun); 1 if the network was never
@@ -30,7 +31,9 @@ def run_train(spec: ImitationSpec | ReinforcementSpec, json: bool) -> int:
     """
     with sigterm_interrupts():
         result = train_spec(spec)
-    _tell(spec, result, json)
+    # Of the processes of torchrun the first has the checkpoints.
+    if not distributed.rank():
+        _tell(spec, result, json)
     if result.interrupted:
         return INTERRUPTED
     # A checkpoint without an update, or of too few demonstrations, must not pass for a result.

@@ -370,13 +370,13 @@ class TaskLoop(BackendWorlds):
         teleporting = self.focus.navigates
         if not may_hold(teleporting):
             return actions
-        still = self.controller.still(self.state)
         grip = self.grip
         if self.config.teleport_fingers == STILL_FINGERS:
             assert self.signals is not None
             there = self.controller.present_grip(self.state)
-            grip = self._xp.where(self.signals.is_grasped, grip, there)
-        still[:, self.controller.gripper] = grip
+            # Contact of what must be carried, held well or not.
+            grip = self._xp.where(self.signals.contact, grip, there)
+        still = self.controller.still(self.state, grip)
         return self._xp.where(teleporting[:, None], still, actions)
 
     def _sense(self) -> WorldState:

@@ -203,9 +203,7 @@ class SequentialTaskEnv(TaskLoop, VectorEnv):
 
     def _advance_physics(self, actions: np.ndarray) -> np.ndarray:
         if self.perturber.plan:
-            still = self.controller.still(self.state)
-            # Or the fingers would go to the middle of their range, and drop what they hold.
-            still[:, self.controller.gripper] = self.grip
+            still = self.controller.still(self.state, self.grip)
             actions = self.perturber.step(actions, still)
         return super()._advance_physics(actions)
 

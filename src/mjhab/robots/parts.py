@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 from mjhab.scenes.spec import IDENTITY, Geom, Quat, Vec3
 
@@ -202,3 +203,8 @@ class ActionLimits:
     """Change of the tcp position per control step along each axis [m]."""
     ee_turn: float = 0.1
     """Largest norm of the rotation vector of the tcp per control step [rad]."""
+
+    def gripper_entry(self, opening: Any) -> Any:
+        """Entry of an action for a distance ``opening`` [m] between the fingers, a number or an array; not clipped."""
+        low, high = self.gripper
+        return (opening - low - high) / (high - low)

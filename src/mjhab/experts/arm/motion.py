@@ -134,8 +134,7 @@ def hand_action(
 
 def gripper_at(robot: Robot, opening: float) -> float:
     """Gripper command for a distance ``opening`` [m] between the fingers, clipped to the range of the gripper."""
-    low, high = robot.limits.gripper
-    return float(np.clip((opening - low - high) / (high - low), CLOSED, OPEN))
+    return float(np.clip(robot.limits.gripper_entry(opening), CLOSED, OPEN))
 
 
 def never(view: WorldView) -> bool:

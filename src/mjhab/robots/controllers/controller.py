@@ -219,10 +219,11 @@ class Controller:
             out[:, 1] += left * cos
         out[:, 2] = self.limits.yaw_rate * a[:, -1]
 
-    def still(self, state: JointState) -> Array:
+    def still(self, state: JointState, grip: Array | float = 0.0) -> Array:
         """Return actions (W, dim) float32 that hold the robot's pose.
 
-        The gripper's entry is 0: the fingers go to the middle of `ActionLimits.gripper`.
+        ``grip``: entries (W,) of the gripper. By 0 the fingers go to the middle of `ActionLimits.gripper`, and drop
+        what they hold.
         """
         xp = namespace(state.robot_q)
         q = state.robot_q
@@ -234,14 +235,14 @@ class Controller:
         actions[:, : self.gripper] = self._arm.still(arm_q) / self._arm_units
         if self._stiff_body:
             actions[:, self._body] = q[:, self._body_columns]
+        actions[:, self.gripper] = grip
         return actions
 
     def present_grip(self, state: JointState) -> Array:
         """Return the gripper entries (W,) float32 of actions that leave the fingers where they are."""
         xp = namespace(state.robot_q)
-        low, high = self.limits.gripper
-        fingers = state.robot_q[:, self._finger_columns].mean(-1)
-        return xp.astype((2.0 * fingers - low - high) / (high - low), xp.float32)
+        opening = state.robot_q[:, self._finger_columns].sum(-1)
+        return xp.astype(self.limits.gripper_entry(opening), xp.float32)
 
     def reset(self, mask: Array, state: JointState) -> None:
         """Set the targets of the worlds of ``mask`` (W,) bool to the measured positions, after a reset or teleport."""

@@ -13,6 +13,7 @@ import mjhab.envs as envs
 from mjhab.envs.observations.state import state_dim, state_table
 from mjhab.envs.sequential import SequentialTaskEnv
 from mjhab.episodes.generator import EpisodeMaker
+from mjhab.experts import make_expert
 from mjhab.robots.controllers import make_controller
 from mjhab.robots.fetch.robot import ROBOT
 from mjhab.scenes.pack_source import PACK_SOURCES, PackSource
@@ -111,6 +112,17 @@ def test_fingers_of_an_empty_hand_rest_when_a_teleport_ends():
     assert position.min() > 0.025 and speed.min() > 0.2
     with refused("fingers in teleports", "loose", expected="still"):
         build(task="set_table", teleport_fingers="loose")
+
+
+def test_what_is_carried_is_held_on_to_in_a_teleport():
+    env = build(task="tidy_house", num_envs=1)
+    obs, info = env.reset(seed=0)
+    policy = make_expert(env)
+    policy.reset(np.ones(1, bool))
+    while env.focus.kind[0] != SubtaskKind.PLACE:
+        obs, _, _, _, info = env.step(policy.act(obs, info))
+    # The command of a closed hand; that of the present opening would let go.
+    assert env.grip[0] == -1.0 and info["is_grasped"][0]
 
 
 def test_worlds_can_be_in_different_subtasks():

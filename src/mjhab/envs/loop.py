@@ -373,9 +373,10 @@ class TaskLoop(BackendWorlds):
         grip = self.grip
         if self.config.teleport_fingers == STILL_FINGERS:
             assert self.signals is not None
-            there = self.controller.present_grip(self.state)
             # Contact of what must be carried, held well or not.
-            grip = self._xp.where(self.signals.contact, grip, there)
+            grip = self._xp.where(
+                self.signals.contact, grip, self.controller.present_grip(self.state)
+            )
         still = self.controller.still(self.state, grip)
         return self._xp.where(teleporting[:, None], still, actions)
 

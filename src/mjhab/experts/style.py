@@ -15,7 +15,7 @@ from mjhab.episodes.grasps.candidates import KINDS, Grasps
 from mjhab.experts.arm import motion
 from mjhab.experts.mishap import Mishap
 from mjhab.robots.parts import ActionColumns
-from mjhab.tasks.style import ANY, BURSTS, PLAIN, SMOOTH, VISIBLE, Style
+from mjhab.tasks.style import ANY, BURSTS, PLAIN, RULE, SMOOTH, VISIBLE, Style
 
 NOISE_MEMORY = 0.86
 """Factor of the smooth noise from one control step to the next: its time constant is a third of a second."""
@@ -46,6 +46,15 @@ class StyledView(WorldView):
 def style_of(view: WorldView) -> Style:
     """Style of a view; `PLAIN` for a view without one."""
     return view.style if isinstance(view, StyledView) else PLAIN
+
+
+def follows_rule(view: WorldView) -> bool:
+    """Whether the style asks for a rule instead of a search, see `tasks.style.Style.plan`.
+
+    What a script does by the rule depends on what a policy can observe: not on the time that is left, and hardly on
+    where the robot starts.
+    """
+    return style_of(view).plan == RULE
 
 
 def wait_for(view: WorldView, condition: motion.Until) -> motion.Until:

@@ -104,8 +104,8 @@ class Style:
         default=SEARCH,
         metadata={
             "words": (SEARCH, RULE),
-            "about": "how Pick and Place find base, hand pose and path: a search for the quickest that are free, or, "
-            "on open surfaces, a rule that depends on what can be observed",
+            "about": "how base, hand pose and path are found: a search for the quickest that are free, or a rule that "
+            "depends on what can be observed",
         },
     )
     look: str = field(

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import replace
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,16 +15,20 @@ from mjhab.envs.sequential import SequentialTaskEnv
 from mjhab.experts import make_expert
 from mjhab.experts.base.ajar import planner
 from mjhab.experts.policy import ExpertPolicy
-from mjhab.experts.skills import pick_by_rule, place_by_rule
+from mjhab.experts.skills import drawer, pick_by_rule, pick_plans, place_by_rule
 from mjhab.experts.skills.by_rule import DISTANCES_M
+from mjhab.experts.skills.doors import closing
+from mjhab.experts.style import StyledView
 from mjhab.rollout.loop import rollout
-from mjhab.tasks.style import RULE, SEARCH, Styles
+from mjhab.tasks.style import PLAIN, RULE, SEARCH, Styles
 
 BY_RULE = Styles.parse([f"plan={RULE}"])
 WORLDS = 4
 
 
-def build(task: str, subtask: str, worlds: int = WORLDS) -> SequentialTaskEnv:
+def build(
+    task: str, subtask: str, worlds: int = WORLDS, **options: Any
+) -> SequentialTaskEnv:
     return envs.make(
         task=task,
         subtask=subtask,
@@ -30,6 +37,7 @@ def build(task: str, subtask: str, worlds: int = WORLDS) -> SequentialTaskEnv:
         split="train",
         autoreset="disabled",
         threads=1,
+        **options,
     )
 
 
@@ -91,6 +99,71 @@ def test_the_stance_faces_the_object_at_a_fixed_distance() -> None:
             planner(view, shut=True).clearance_at(placement.base[:2])
             > view.robot.footprint.wide
         )
+
+
+def spread(
+    env: SequentialTaskEnv, plan: str, stance: Callable[[StyledView], np.ndarray]
+) -> np.ndarray:
+    """Range (3,) of the base poses x, y, yaw [m, m, rad] that a plan leads to from the starts of the worlds."""
+    found = []
+    for world in range(env.num_envs):
+        view = StyledView(env, world)
+        view.style = replace(PLAIN, plan=plan)
+        found.append(stance(view))
+    return np.ptp(found, axis=0)
+
+
+def behind_door(view: StyledView) -> np.ndarray:
+    path = closing.from_outside(view, view.home.links["fridge/top_door"])
+    assert path is not None
+    return path.q[0, :3]
+
+
+def before_drawer(view: StyledView) -> np.ndarray:
+    path = drawer._arm_path(view, view.home.links["kitchen_counter/drawer3"])
+    assert path is not None
+    return path.q[0, :3]
+
+
+@pytest.mark.parametrize(
+    ("subtask", "target", "stance"),
+    [
+        ("close", "fridge/top_door", behind_door),
+        ("open", "kitchen_counter/drawer3", before_drawer),
+    ],
+)
+def test_the_stance_at_furniture_does_not_depend_on_the_start(
+    subtask: str, target: str, stance: Callable[[StyledView], np.ndarray]
+) -> None:
+    env = build("set_table", subtask, 6, target=target, home="builtin_m1_00")
+    env.reset(seed=11)
+    # Doors and drawers are not open by the same in all starts: the stance goes along with them.
+    ruled = spread(env, RULE, stance)
+    searched = spread(env, SEARCH, stance)
+    assert ruled.max() < 0.1 < 0.5 * searched.max()
+
+
+def test_the_stance_before_a_shelf_does_not_depend_on_the_start(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    env = build("set_table", "pick", 1, target="013_apple", home="builtin_m1_00")
+    env.reset(seed=11)
+    view = StyledView(env, 0)
+    assert view.subtask is not None
+    obj = view.subtask.obj
+    place = view.object_pose(obj)[:3]
+    assert pick_plans.inside_depth(view, place)
+    # Without the rule drives are counted from where the robot is.
+    assert pick_plans.shelf_start(view, place) is None
+    view.style = replace(PLAIN, plan=RULE)
+    before = pick_plans.shelf_start(view, place)
+    assert before is not None
+    aside = view.base + np.array([0.3, -0.2, 0.5])
+    monkeypatch.setattr(StyledView, "base", property(lambda self: aside))
+    np.testing.assert_array_equal(pick_plans.shelf_start(view, place), before)
+    np.testing.assert_allclose(
+        before[:2] + 1.5 * np.array([np.cos(before[2]), np.sin(before[2])]), place[:2]
+    )
 
 
 def test_shelves_are_left_to_the_search() -> None:

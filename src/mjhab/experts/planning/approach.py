@@ -18,7 +18,7 @@ from mjhab.experts.arm.clearance import RobotSpheres
 from mjhab.experts.base.ajar import planner
 from mjhab.experts.base.route import Route, RouteWish, follow, plan_route
 from mjhab.experts.phases import phase
-from mjhab.experts.style import wait_for
+from mjhab.experts.style import follows_rule, wait_for
 from mjhab.robots.robot import Robot
 
 Motion = motion.Motion
@@ -79,7 +79,8 @@ def best_route(
 
     Args:
         view: world to plan in.
-        goals: (M, J) configurations, preferred ones first.
+        goals: (M, J) configurations, preferred ones first. By the rule the first one with a collision-free route is
+            taken.
         others: (M, J) second choice for every goal, at a cost of `SECOND_CHOICE_STEPS`; used when driving backwards.
         link: a door that the hand must not pass through. It is checked at two samples per control step, because a fast
             hand could pass through it between two control steps.
@@ -91,8 +92,9 @@ def best_route(
     boxes = obstacles(view, goals[:MAX_ROUTES_TRIED])
     door = None if link is None else link.boxes(view.link_q(link.id))
     best: tuple[float, int, Route] | None = None
+    tried = 1 if follows_rule(view) else ROUTES_TRIED
     for i, goal in enumerate(goals[:MAX_ROUTES_TRIED]):
-        if i >= ROUTES_TRIED and best is not None and best[0] < BLOCKED_PRICE_STEPS:
+        if i >= tried and best is not None and best[0] < BLOCKED_PRICE_STEPS:
             break
         # A drive backwards ends with less turning, but from the other side: the second choice suits it better.
         for direction, end, more in (

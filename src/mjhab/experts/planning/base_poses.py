@@ -70,13 +70,14 @@ def base_poses(view: WorldView, query: ReachQuery) -> tuple[np.ndarray, np.ndarr
     x = point[0] - r * np.cos(angle)
     y = point[1] - r * np.sin(angle)
     poses = np.stack([x, y, wrap(angle + off)], axis=-1).reshape(-1, 3)
+    start = view.base if query.start is None else query.start
     # The present pose saves the drive, whatever its distance and bearing.
-    here = view.base - drive_in * motion.ahead_3d(view.base[2])
+    here = start - drive_in * motion.ahead_3d(start[2])
     bearing = np.arctan2(point[1] - here[1], point[0] - here[0])
     poses = np.concatenate(
         [
             poses,
-            [view.base, *([here[0], here[1], bearing + k] for k in (-0.35, 0.0, 0.35))],
+            [start, *([here[0], here[1], bearing + k] for k in (-0.35, 0.0, 0.35))],
         ]
     )
     # The present pose counts as near, whatever its distance: it costs no drive.
@@ -104,8 +105,12 @@ def base_poses(view: WorldView, query: ReachQuery) -> tuple[np.ndarray, np.ndarr
     back = back[good]
     far_off = far_off[good]
     length = cells.costs(view.base[:2])[cells.grid.cells(back)]
+    if query.start is not None:
+        # What cannot be reached from where the robot is stays so.
+        straight = np.linalg.norm(back - start[:2], axis=1)
+        length = np.where(np.isfinite(length), straight, np.inf)
     steps = (
-        drive_steps(view.base, np.concatenate([back, poses[:, 2:]], axis=1), length)
+        drive_steps(start, np.concatenate([back, poses[:, 2:]], axis=1), length)
         + 6.0 * drive_in / 0.3
     )
     # All the nearest base poses may be on a side from which no hand pose can be reached.

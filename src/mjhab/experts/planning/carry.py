@@ -32,6 +32,7 @@ from mjhab.experts.base.route import (
 from mjhab.experts.phases import phase
 from mjhab.experts.planning.sampled import MAX_DEFICIT_M, plan_around
 from mjhab.experts.planning.workplace import surroundings
+from mjhab.experts.style import follows_rule
 from mjhab.robots.robot import Robot
 
 BACK_DISTANCES_M = (0.0, 0.2, 0.4, 0.6, 0.8)
@@ -66,6 +67,8 @@ IN_CLEARANCE_M = 0.012
 `workplace.CLEARANCES_M` of the first attempt."""
 MAX_CORRECTION_RAD = 0.5
 """Largest change of a joint that corrects a lateral error of the base."""
+BEFORE_SHELF_M = 1.5
+"""Distance of a base pose in front of a shelf from what is on it."""
 
 
 def inside_depth(view: WorldView, point: np.ndarray) -> float:
@@ -77,6 +80,24 @@ def inside_depth(view: WorldView, point: np.ndarray) -> float:
             if (off < np.array(place.half) + 0.08).all():
                 return SHELF_DEPTH_M
     return 0.0
+
+
+def shelf_start(view: WorldView, point: np.ndarray) -> np.ndarray | None:
+    """Base pose (3,) straight before the shelf around ``point`` (3,), from which drives are counted by the rule.
+
+    None without the rule, and where no shelf is: they are counted from where the robot is.
+    """
+    if not (follows_rule(view) and inside_depth(view, point)):
+        return None
+    place = min(
+        (p for p in view.home.receptacles if p.kind == "shelf"),
+        key=lambda p: float(np.linalg.norm(point - p.pos)),
+    )
+    toward = point[:2] - view.base[:2]
+    # A shelf is entered square to its front: of its four directions the one nearest to the robot's view.
+    turns = np.round((np.arctan2(toward[1], toward[0]) - place.yaw) / (np.pi / 2))
+    yaw = place.yaw + turns * np.pi / 2
+    return np.array([*(point[:2] - BEFORE_SHELF_M * motion.ahead(yaw)), yaw])
 
 
 @dataclass(frozen=True, eq=False)
@@ -240,9 +261,9 @@ def go_home(view: WorldView, obj: str, *, holding: bool = True) -> Motion:
 def go_home_fast(view: WorldView, obj: str) -> Motion:
     """Bring the arm to rest while the base still drives out of a shelf, if one after the other takes too long and a
     collision-free way is found. Returns whether it set out; the object may be lost then."""
-    if view.steps_left > OUT_STEPS + HOME_DELAY * float(
-        motion.steps_home(view.robot, view.q)
-    ):
+    takes = OUT_STEPS + HOME_DELAY * float(motion.steps_home(view.robot, view.q))
+    # By the rule it always does, see `follows_rule`.
+    if view.steps_left > takes and not follows_rule(view):
         return False
     robot = motion.spheres(view.robot).with_held(*held_spheres(view, obj))
     route = plan_home(view, obj, robot, holding=True, distances=OUT_DISTANCES_M)

@@ -27,6 +27,7 @@ from mjhab.envs.parts.world_view import JointedLink, WorldView
 from mjhab.experts.arm import ik, motion
 from mjhab.experts.base.ajar import planner
 from mjhab.experts.base.route import LINK_GUESS, drive_steps
+from mjhab.experts.style import follows_rule
 from mjhab.robots.kinematics import Chain
 from mjhab.robots.robot import Robot
 
@@ -328,7 +329,7 @@ def motion_steps(robot: Chain, q: np.ndarray) -> np.ndarray:
 def rank(
     view: WorldView, frame: Frame, placements: LinkMotions, also: np.ndarray | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The motions with free floor, the ones soonest reached first.
+    """The motions with free floor, the ones soonest reached first; by the rule wherever the robot is.
 
     Args:
         also: (N, P, 2) more places the base passes through, plan frame.
@@ -347,9 +348,11 @@ def rank(
         .min(axis=1, initial=np.inf)
     )
     first = frame.base(placements.q[:, 0])
-    steps = np.maximum(
-        placements.steps, drive_steps(view.base, first[:, BASE], guess=LINK_GUESS)
-    )
+    steps = placements.steps
+    if not follows_rule(view):
+        steps = np.maximum(
+            steps, drive_steps(view.base, first[:, BASE], guess=LINK_GUESS)
+        )
     cost = (
         steps
         + motion_steps(view.robot.chain, placements.q)

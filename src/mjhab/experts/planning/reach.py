@@ -296,6 +296,9 @@ def _routed(
         (clear if route.clearance >= 0.0 else tight).append(
             BasePlacement(int(goal[i]), pre[i], q[i], route)
         )
+        # They come in the order of what is preferred wherever the robot is.
+        if clear and query.start is not None:
+            break
         if len(clear) >= MAX_PLACEMENTS or len(clear) + len(tight) >= 3 * MAX_PLACEMENTS:
             break
     tight = sorted(

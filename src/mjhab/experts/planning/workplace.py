@@ -137,6 +137,8 @@ class ReachQuery:
         home: weight of the control steps from the work back to rest.
         far: stand far off even where one may stand nearer: that can save a long way.
         bases: (B, 3) the base poses to choose from; None: they are searched.
+        start: (3,) base pose from which drives are counted, so that the choice does not depend on where the robot is;
+            None: they are counted from there.
     """
 
     point: np.ndarray
@@ -149,6 +151,7 @@ class ReachQuery:
     home: float = 0.0
     far: bool = False
     bases: np.ndarray | None = None
+    start: np.ndarray | None = None
 
 
 def surroundings(view: WorldView, obj: str, point: np.ndarray) -> tuple[Boxes, Boxes]:

@@ -27,8 +27,7 @@ from mjhab.experts.skills.by_rule import (
     find_placement,
     move_hand,
 )
-from mjhab.experts.style import style_of
-from mjhab.tasks.style import RULE
+from mjhab.experts.style import follows_rule
 
 MIN_CLEAR_M = 0.004
 """Least clearance between hand and neighbouring objects on the approach."""
@@ -52,7 +51,7 @@ def pick(view: WorldView) -> Motion:
     """Pick up the object of the active subtask, by the rule or by a search as the style demands."""
     return (
         yield from (
-            pick_by_rule(view) if style_of(view).plan == RULE else search.pick(view)
+            pick_by_rule(view) if follows_rule(view) else search.pick(view)
         )
     )
 

@@ -25,6 +25,7 @@ from mjhab.experts.arm import motion
 from mjhab.experts.planning.carry import (
     SHELF_DEPTH_M,
     inside_depth,
+    shelf_start,
 )
 from mjhab.experts.planning.reach import hand_clearance, placements
 from mjhab.experts.planning.sampled import clearer
@@ -125,6 +126,7 @@ def plan_pick(
                 avoid=failed,
                 clearance=CLEARANCES_M[min(attempt, 2)],
                 nearer=nearer,
+                start=shelf_start(view, pose[:3]),
             )
             found = placements(view, query, blocked)
             if found and (
@@ -143,11 +145,12 @@ def _grasps_of(
     """Grasps of an object, which is ``inside`` of furniture or on it, with the boxes ``around`` it."""
     shape, pose = view.object_shape(obj), view.object_pose(obj)
     if inside:
+        start = shelf_start(view, pose[:3])
         return shelf_grasps(
             shape,
             pose,
             scene,
-            direction_to(view, pose),
+            direction_from(view.base if start is None else start, pose),
             around,
             GRASP_CLEARANCES_M[-1][0],
         )
@@ -259,9 +262,9 @@ def scene_of(view: WorldView, obj: str) -> ReachScene:
     return ReachScene(near, target, support, view.robot)
 
 
-def direction_to(view: WorldView, pose: np.ndarray) -> tuple[float, float]:
-    """Level unit vector from the robot to an object at ``pose`` (7,)."""
-    toward = pose[:2] - view.base[:2]
+def direction_from(base: np.ndarray, pose: np.ndarray) -> tuple[float, float]:
+    """Level unit vector from a base pose (3,) to an object at ``pose`` (7,)."""
+    toward = pose[:2] - base[:2]
     # The object may be right above the base, where there is no direction.
     x, y = toward / max(float(np.linalg.norm(toward)), 1e-6)
     return float(x), float(y)

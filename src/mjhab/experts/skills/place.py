@@ -24,6 +24,7 @@ from mjhab.experts.planning.carry import (
     drive_in,
     go_home,
     inside_depth,
+    shelf_start,
 )
 from mjhab.experts.planning.reach import placements, settle_reach
 from mjhab.experts.planning.release import (
@@ -259,6 +260,7 @@ def plan_place(
         nearer=HAND_NEARER_M,
         far=attempt.fast,
         home=HOME_WEIGHT,
+        start=shelf_start(view, goal),
     )
     found = placements(view, query, blocked)
     return clearer(view, (found[0], goals, depth) if found else None, blocked)

@@ -25,8 +25,7 @@ from mjhab.experts.skills.by_rule import (
     move_hand,
 )
 from mjhab.experts.skills.place_goals import Release, clear_hand_goals
-from mjhab.experts.style import style_of
-from mjhab.tasks.style import RULE
+from mjhab.experts.style import follows_rule
 
 DOWN = np.array([0.0, 0.0, -1.0])
 AT_GOAL_M = 0.012
@@ -44,7 +43,7 @@ def place(view: WorldView) -> Motion:
     """Place the held object at the goal of the active subtask, by the rule or by a search as the style demands."""
     return (
         yield from (
-            place_by_rule(view) if style_of(view).plan == RULE else search.place(view)
+            place_by_rule(view) if follows_rule(view) else search.place(view)
         )
     )
 

@@ -49,11 +49,7 @@ LIFT_STEP_M = 0.03
 
 def pick(view: WorldView) -> Motion:
     """Pick up the object of the active subtask, by the rule or by a search as the style demands."""
-    return (
-        yield from (
-            pick_by_rule(view) if follows_rule(view) else search.pick(view)
-        )
-    )
+    return (yield from (pick_by_rule(view) if follows_rule(view) else search.pick(view)))
 
 
 @phase("pick up by the rule", "approach")

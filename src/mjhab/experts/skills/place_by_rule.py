@@ -42,9 +42,7 @@ AWAY_STEP_M = 0.02
 def place(view: WorldView) -> Motion:
     """Place the held object at the goal of the active subtask, by the rule or by a search as the style demands."""
     return (
-        yield from (
-            place_by_rule(view) if follows_rule(view) else search.place(view)
-        )
+        yield from (place_by_rule(view) if follows_rule(view) else search.place(view))
     )
 
 

@@ -82,6 +82,18 @@ def inside_depth(view: WorldView, point: np.ndarray) -> float:
     return 0.0
 
 
+def shelf_heading(view: WorldView, point: np.ndarray) -> float:
+    """Heading [rad] with which the shelf nearest to ``point`` (3,) is entered: square to its front, which is the one of
+    its four sides that the robot is before."""
+    place = min(
+        (p for p in view.home.receptacles if p.kind == "shelf"),
+        key=lambda p: float(np.linalg.norm(point - p.pos)),
+    )
+    toward = point[:2] - view.base[:2]
+    turns = np.round((np.arctan2(toward[1], toward[0]) - place.yaw) / (np.pi / 2))
+    return float(place.yaw + turns * np.pi / 2)
+
+
 def shelf_start(view: WorldView, point: np.ndarray) -> np.ndarray | None:
     """Base pose (3,) straight before the shelf around ``point`` (3,), from which drives are counted by the rule.
 
@@ -89,14 +101,7 @@ def shelf_start(view: WorldView, point: np.ndarray) -> np.ndarray | None:
     """
     if not (follows_rule(view) and inside_depth(view, point)):
         return None
-    place = min(
-        (p for p in view.home.receptacles if p.kind == "shelf"),
-        key=lambda p: float(np.linalg.norm(point - p.pos)),
-    )
-    toward = point[:2] - view.base[:2]
-    # A shelf is entered square to its front: of its four directions the one nearest to the robot's view.
-    turns = np.round((np.arctan2(toward[1], toward[0]) - place.yaw) / (np.pi / 2))
-    yaw = place.yaw + turns * np.pi / 2
+    yaw = shelf_heading(view, point)
     return np.array([*(point[:2] - BEFORE_SHELF_M * motion.ahead(yaw)), yaw])
 
 

@@ -30,6 +30,7 @@ from mjhab.experts.planning.carry import (
     go_home,
     go_home_fast,
     inside_depth,
+    shelf_heading,
 )
 from mjhab.experts.planning.reach import hand_clearance, settle_reach
 from mjhab.experts.planning.workplace import (
@@ -40,7 +41,6 @@ from mjhab.experts.skills.nudge import nudge
 from mjhab.experts.skills.nudge_plans import plan_nudge
 from mjhab.experts.skills.pick_plans import (
     GRASP_CLEARANCES_M,
-    direction_from,
     plan_inside,
     plan_pick,
     scene_of,
@@ -237,15 +237,7 @@ def _nudge(view: WorldView, obj: str) -> Motion:
     scene = scene_of(view, obj)
     if not inside_depth(view, pose[:3]):
         return False
-    toward = direction_from(view.base, pose)
-    place = min(
-        (p for p in view.home.receptacles if p.kind == "shelf"),
-        key=lambda p: float(np.linalg.norm(pose[:3] - p.pos)),
-    )
-    # A shelf is entered square to its front: of its four directions the one nearest to the robot's view.
-    turns = np.round((np.arctan2(toward[1], toward[0]) - place.yaw) / (np.pi / 2))
-    angle = place.yaw + turns * np.pi / 2
-    inward = motion.ahead(angle)
+    inward = motion.ahead(shelf_heading(view, pose[:3]))
     shape = view.object_shape(obj)
     # What is farther away cannot meet the hand or the box as it turns.
     around = scene.beside.near(pose[:3], 0.5)

@@ -106,7 +106,7 @@ def base_poses(view: WorldView, query: ReachQuery) -> tuple[np.ndarray, np.ndarr
     far_off = far_off[good]
     length = cells.costs(view.base[:2])[cells.grid.cells(back)]
     if query.start is not None:
-        # What cannot be reached from where the robot is stays so.
+        # Where the robot cannot drive to stays excluded.
         straight = np.linalg.norm(back - start[:2], axis=1)
         length = np.where(np.isfinite(length), straight, np.inf)
     steps = (

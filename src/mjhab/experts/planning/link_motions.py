@@ -347,9 +347,9 @@ def rank(
         .clearance_at(frame.point(places))
         .min(axis=1, initial=np.inf)
     )
-    first = frame.base(placements.q[:, 0])
     steps = placements.steps
     if not follows_rule(view):
+        first = frame.base(placements.q[:, 0])
         steps = np.maximum(
             steps, drive_steps(view.base, first[:, BASE], guess=LINK_GUESS)
         )

@@ -296,7 +296,7 @@ def _routed(
         (clear if route.clearance >= 0.0 else tight).append(
             BasePlacement(int(goal[i]), pre[i], q[i], route)
         )
-        # They come in the order of what is preferred wherever the robot is.
+        # The cheapest one from there: how long the way from here takes does not matter.
         if clear and query.start is not None:
             break
         if len(clear) >= MAX_PLACEMENTS or len(clear) + len(tight) >= 3 * MAX_PLACEMENTS:

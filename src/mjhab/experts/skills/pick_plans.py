@@ -99,6 +99,7 @@ def plan_pick(
     scene = scene_of(view, obj)
     depth = inside_depth(view, pose[:3])
     around = scene.beside.near(pose[:3], 0.5)
+    start = shelf_start(view, pose[:3])
     every = _grasps_of(view, obj, scene, around, bool(depth))
     every = balanced(of_kind(every, wish), pose[:3])
     # On open surfaces the clearance of the fingers is enough; below a board the wrist is what collides.
@@ -126,7 +127,7 @@ def plan_pick(
                 avoid=failed,
                 clearance=CLEARANCES_M[min(attempt, 2)],
                 nearer=nearer,
-                start=shelf_start(view, pose[:3]),
+                start=start,
             )
             found = placements(view, query, blocked)
             if found and (

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -12,7 +13,7 @@ import pytest
 
 from mjhab.data.store.checking import check
 from mjhab.data.store.episode_data import EpisodeData
-from mjhab.data.store.places import episodes
+from mjhab.data.store.places import episodes, shards_in
 from mjhab.data.store.reading import open_shard
 from mjhab.data.store.shard import ShardWriter
 from tests.data.make import numbered, one_episode
@@ -86,3 +87,15 @@ def test_a_shard_held_open_by_h5py_is_added_to(
     with h5py.File(path, "r", locking=False), ShardWriter(path) as writer:
         writer.append(numbered(template, 1))
     assert check(path).ok == 2
+
+
+def test_a_folder_that_goes_while_it_is_looked_through_is_passed_over(
+    tmp_path: Path,
+) -> None:
+    for name in ("first.h5", "gone/second.h5", "kept/third.h5", "kept/.fourth.h5"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).touch()
+    found = shards_in(tmp_path)
+    assert next(found).name == "first.h5"
+    shutil.rmtree(tmp_path / "gone")
+    assert [path.name for path in found] == ["third.h5"]

@@ -31,6 +31,7 @@ from mjhab.core.machine import cores
 from mjhab.data.record.job import Standing
 from mjhab.data.record.provenance import source_commit, versions
 from mjhab.data.store.places import episodes as recorded_episodes
+from mjhab.data.store.places import has_shards
 from mjhab.data.store.storage import StorageError
 from mjhab.evaluation.generate import GenerateSpec, run_generation
 from mjhab.scenes.packs import stage_of
@@ -149,7 +150,7 @@ def measure_row(
 def read_row(spec: ExpertsSpec, row: ExpertRow) -> list[MeasuredEpisode]:
     """Episodes of a row that are recorded, of those that are wanted, in order of their indices."""
     folder = row_folder(spec.out, row)
-    if not any(folder.rglob("*.h5")):
+    if not has_shards(folder):
         return []
     found = {
         e.record.index: MeasuredEpisode.of(e.record) for e in recorded_episodes(folder)

@@ -23,7 +23,6 @@ from mjhab.data.record.job import (
     DataFolder,
     Job,
     Standing,
-    has_episodes,
     read_tried,
 )
 from mjhab.data.record.messages import (
@@ -46,7 +45,7 @@ from mjhab.data.store.episode_files import (
     EpisodeFiles,
 )
 from mjhab.data.store.hdf5 import drop_unfinished
-from mjhab.data.store.places import entries
+from mjhab.data.store.places import entries, has_shards
 from mjhab.data.store.reading import open_shard
 from mjhab.data.store.storage import StorageError
 from mjhab.rollout.records import skip_counts
@@ -154,7 +153,7 @@ class _Run:
 
     def _stored(self) -> list[EpisodeEntry]:
         """The episodes that are in the folder."""
-        return list(entries(self.job.out)) if has_episodes(self.job.out) else []
+        return list(entries(self.job.out)) if has_shards(self.job.out) else []
 
     def _start(self, number: int, deaths: int) -> None:
         self.members[number] = _Member(deaths=deaths)

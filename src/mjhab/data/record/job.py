@@ -15,7 +15,7 @@ from mjhab.core.files.run_folder import RunFolder
 from mjhab.data.record.quotas import Outcome
 from mjhab.data.record.workers import WorkerSpec
 from mjhab.data.store.episode_files import GENERATION_CONFIG
-from mjhab.data.store.places import entries
+from mjhab.data.store.places import entries, has_shards
 
 TRIED = "tried.jsonl"
 
@@ -68,14 +68,9 @@ class Standing:
     skipped_homes: Mapping[str, int] = field(default_factory=dict)
 
 
-def has_episodes(folder: Path) -> bool:
-    # A writer's unfinished files have a dot before their names.
-    return any(not path.name.startswith(".") for path in folder.rglob("*.h5"))
-
-
 def tried_in(folder: Path) -> int:
     """Number of episodes that earlier runs of a job have tried in its folder, kept or not."""
-    stored = entries(folder) if has_episodes(folder) else ()
+    stored = entries(folder) if has_shards(folder) else ()
     return len(read_tried(folder / TRIED)) + sum(1 for _ in stored)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import os
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
@@ -48,9 +49,28 @@ def shard_paths(places: Path | Sequence[Path]) -> list[Path]:
     return list(by_file.values())
 
 
+def shards_in(folder: Path) -> Iterator[Path]:
+    """Files of episodes in a folder and the folders in it, in no order; none if the folder does not exist.
+
+    Whoever records into the folder makes and deletes folders there, so one that is gone when its turn comes is passed
+    over (`Path.rglob` raises). A name with a dot in front is of a file that is being written.
+    """
+    for inside, _, names in os.walk(folder):
+        yield from (
+            Path(inside, name)
+            for name in names
+            if name.endswith(".h5") and not name.startswith(".")
+        )
+
+
+def has_shards(folder: Path) -> bool:
+    """Whether a folder, or a folder in it, has files of episodes."""
+    return next(shards_in(folder), None) is not None
+
+
 def _files_in(place: Path) -> list[Path]:
     if place.is_dir():
-        return sorted(p for p in place.rglob("*.h5") if not p.name.startswith("."))
+        return sorted(shards_in(place))
     parts = [p for p in part_folder(place).glob("*.h5") if not p.name.startswith(".")]
     return [*([place] if place.is_file() else []), *sorted(parts)]
 

@@ -21,7 +21,7 @@ from mjhab.data.export.columns import action_columns, state_columns
 from mjhab.data.select.describing import state_names, subtask_words
 from mjhab.data.select.facts import target_of
 from mjhab.data.select.own_state import base_velocity, tells_base_velocity
-from mjhab.data.store.places import episodes
+from mjhab.data.store.places import episodes, has_shards
 from mjhab.data.store.reading import RecordedEpisode
 from mjhab.evaluation.publishing.spec import DEMONSTRATIONS, DatasetSpec
 
@@ -186,13 +186,11 @@ def _episodes(spec: DatasetSpec) -> Iterator[tuple[RecordedEpisode, str, str]]:
         places = {"episodes": spec.folder(row)}
         places |= {name: spec.out / name / f"{row.name}.h5" for name in SUBSETS}
         for subset, place in places.items():
-            for episode in episodes(place) if _has_shards(place) else ():
+            for episode in (
+                episodes(place) if place.is_file() or has_shards(place) else ()
+            ):
                 target = "" if row.target else f".{target_of(episode.record)}"
                 yield episode, f"{row.name}{target}", subset
-
-
-def _has_shards(place: Path) -> bool:
-    return place.is_file() or any(place.rglob("*.h5"))
 
 
 def _counts(found: Counter[str]) -> dict[str, int]:

@@ -29,7 +29,7 @@ from mjhab.data.select.query import Filter
 from mjhab.data.select.sets import deal, merge, select
 from mjhab.data.store.episode_files import EPISODE_FOLDER
 from mjhab.data.store.packing import pack
-from mjhab.data.store.places import entries
+from mjhab.data.store.places import entries, has_shards
 from mjhab.evaluation.generate import recorded_value, run_generation
 from mjhab.evaluation.publishing.about import (
     ABOUT,
@@ -181,7 +181,7 @@ def _divide(spec: DatasetSpec, row: ScoreRow) -> None:
     folder = spec.folder(row)
     last = max((entry.record.index for entry in entries(folder)), default=-1)
     rest = spec.rest(row)
-    if any(rest.rglob("*.h5")):
+    if has_shards(rest):
         for subset, filter_text in SUBSETS.items():
             where = Filter(f"{filter_text} and index <= {last}")
             # A shard without episodes would be refused by its readers.

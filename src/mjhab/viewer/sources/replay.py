@@ -10,7 +10,7 @@ import numpy as np
 
 from mjhab.core.errors import MjhabError, UsageError, fault
 from mjhab.data.select.query import Filter
-from mjhab.data.store.places import shard_paths
+from mjhab.data.store.places import has_shards, shard_paths
 from mjhab.data.store.reading import RecordedEpisode, open_shard
 from mjhab.envs.sequential import SequentialTaskEnv
 from mjhab.rollout.store import EPISODES_FILE
@@ -241,7 +241,7 @@ def _refuse_evaluations(places: Path | Sequence[Path]) -> None:
         UsageError: a place is such a folder, without shards; the message tells how to record its episodes.
     """
     for place in [places] if isinstance(places, Path) else places:
-        if (place / EPISODES_FILE).is_file() and not any(place.rglob("*.h5")):
+        if (place / EPISODES_FILE).is_file() and not has_shards(place):
             raise fault(
                 place,
                 "is the folder of an evaluation, which keeps no states. Record its episodes with `mjhab "

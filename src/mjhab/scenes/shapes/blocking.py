@@ -22,14 +22,22 @@ from mjhab.scenes.spec import (
 
 ROBOT_HEIGHT_M = 1.4
 """Geoms entirely above this height [m] do not block the base; the head camera of the benchmark's robot is at 1.41 m."""
+_AT_ORIGIN = Placement("wall", (0.0, 0.0, 0.0))
+"""Walls are in the world."""
 _AROUND = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
 """Signs of the corners of a box seen from above, counter-clockwise."""
 
 
 def blocking_polygons(home: Home, pack: Pack) -> list[np.ndarray]:
     """Compute the convex polygons (N, 2) [m] in the world, counter-clockwise, of all geoms that block the base."""
-    walls = _Template.of(home.walls, pack)
-    polygons = walls.polygons(Placement("wall", (0.0, 0.0, 0.0)))
+    # Homes of one floor plan have most walls and much furniture at the same places.
+    kept = pack.derived
+    polygons: list[np.ndarray] = []
+    for wall in home.walls:
+        polygons += kept.get(
+            ("blocking", wall),
+            lambda wall=wall: _Template.of([wall], pack).polygons(_AT_ORIGIN),
+        )
     for placement in (*home.props, *home.articulations):
         template = (
             pack.props.get(placement.template) or pack.articulations[placement.template]
@@ -37,7 +45,12 @@ def blocking_polygons(home: Home, pack: Pack) -> list[np.ndarray]:
         # Rugs lie under the robot.
         if isinstance(template, Prop) and not template.blocks_base:
             continue
-        polygons += _template(template, pack).polygons(placement)
+        polygons += kept.get(
+            ("blocking", placement),
+            lambda template=template, placement=placement: _template(
+                template, pack
+            ).polygons(placement),
+        )
     return polygons
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import dataclasses
 import json
+import logging
 import signal
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,7 @@ import pytest
 import torch
 from safetensors.torch import save_file
 
+from mjhab.core import errors
 from mjhab.core.errors import UsageError
 from mjhab.learning.assigned.join import KnownRequest, joined
 from mjhab.learning.batches import BatchSampler, take_chunks
@@ -39,6 +41,7 @@ from mjhab.learning.configs import (
     student_from_plain,
     to_plain,
 )
+from mjhab.learning.devices import reduced
 from mjhab.learning.reinforcement.configs import PpoConfig, reinforcement_preset
 from mjhab.learning.resuming import as_begun_now
 from mjhab.learning.runs.evaluation import EvaluationClock
@@ -128,6 +131,18 @@ def test_updates_in_bfloat16_learn_and_leave_weights_of_float32(algorithm: str) 
     exact, rounded = losses[FLOAT32], losses[BFLOAT16]
     assert exact[0] != rounded[0] == pytest.approx(exact[0], rel=0.05)
     assert rounded[-1] == pytest.approx(exact[-1], rel=0.3) and rounded[-1] < rounded[0]
+
+
+@pytest.mark.parametrize("has", [True, False])
+def test_bfloat16_on_a_processor_without_it_is_told_once(
+    has: bool, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr(torch.cpu, "get_capabilities", lambda: {"amx_bf16": has})
+    monkeypatch.setattr(errors, "_warned", set())
+    with caplog.at_level(logging.WARNING, "mjhab"):
+        for precision in (FLOAT32, BFLOAT16, BFLOAT16):
+            reduced(precision, torch.device("cpu"))
+    assert [BFLOAT16 in record.message for record in caplog.records] == [True] * (not has)
 
 
 def test_an_unknown_precision_is_refused() -> None:

@@ -5,9 +5,9 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from mjhab.core.errors import unknown_name
+from mjhab.core.errors import unknown_name, warn_once
 from mjhab.core.seeding import stream
-from mjhab.learning.configs import BFLOAT16
+from mjhab.learning.configs import BFLOAT16, FLOAT32
 
 CPU = "cpu"
 AUTO = "auto"
@@ -33,9 +33,27 @@ def training_device(name: str) -> torch.device:
 
 
 def reduced(precision: str, device: torch.device) -> torch.autocast:
-    """A context in which networks compute in a precision of `NetworkConfig`; losses are float32 in any case."""
+    """A context in which networks compute in a precision of `NetworkConfig`; losses are float32 in any case.
+
+    Warns once where that takes longer than float32: on a processor that has to imitate bfloat16.
+    """
     enabled = precision == BFLOAT16
+    if enabled and device.type == CPU and not has_bfloat16():
+        warn_once(
+            f"network.precision={BFLOAT16} is slower than {FLOAT32} here: this processor has no such arithmetic "
+            "(AVX512-BF16, AMX)."
+        )
     return torch.autocast(device.type, dtype=torch.bfloat16, enabled=enabled)
+
+
+def has_bfloat16() -> bool:
+    """Whether the processor multiplies numbers of bfloat16, which torch imitates where it does not."""
+    tell = getattr(torch.cpu, "get_capabilities", None)
+    if tell is None:
+        # Older versions of torch do not say.
+        return True
+    has = tell()
+    return any(has.get(name) for name in ("avx512_bf16", "amx_bf16", "bf16", "sve_bf16"))
 
 
 def generator(seed: int, name: str, number: int) -> torch.Generator:

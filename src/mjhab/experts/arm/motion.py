@@ -137,6 +137,11 @@ def gripper_at(robot: Robot, opening: float) -> float:
     return float(np.clip(robot.limits.gripper_entry(opening), CLOSED, OPEN))
 
 
+def gripper_at_rest(robot: Robot) -> float:
+    """Gripper command for the opening of the rest posture, with which subtasks begin after a reset or a teleport."""
+    return gripper_at(robot, float(robot.rest[list(robot.finger_columns)].sum()))
+
+
 def never(view: WorldView) -> bool:
     """Condition of a wait that only ends after its number of control steps."""
     return False

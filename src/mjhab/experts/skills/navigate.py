@@ -142,7 +142,8 @@ def navigate(view: WorldView) -> Motion:
     subtask = view.subtask
     assert subtask is not None
     held = subtask.obj if subtask.must_hold else ""
-    gripper = motion.CLOSED if held else motion.OPEN
+    # As after a teleport: policies that have seen drawn starts alone do not know an open hand at rest.
+    gripper = motion.CLOSED if held else motion.gripper_at_rest(view.robot)
     posture = motion.rest_goal(view)
     felt = np.zeros((0, 3))
     aim = Aim.of(view)

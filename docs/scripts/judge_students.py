@@ -36,9 +36,9 @@ ROWS = (
     ("set_table", "close", "kitchen_counter/drawer3"),
 )
 CHAINS = ("tidy_house", "prepare_groceries", "set_table")
-KEYS = ("task", "subtask", "target", "split", "seed", "pack")
-"""What identifies a row of the file; whole tasks have no subtask. The pack of a folder has the folder's name,
-and after "?stage=" its walls, if it has any."""
+KEYS = ("task", "subtask", "target", "split", "seed", "pack", "navigate")
+"""What identifies a row of the file; whole tasks have no subtask, and they alone a way between subtasks. The pack of a
+folder has the folder's name, and after "?stage=" its walls, if it has any."""
 
 
 def command(
@@ -47,7 +47,7 @@ def command(
     """`mjhab eval` of a row; ``told``: the policy, and the pack."""
     words = [sys.executable, "-m", "mjhab", "eval"]
     words += ["--task", row["task"], "--split", row["split"], "--seed", str(row["seed"])]
-    for name in ("subtask", "target"):
+    for name in ("subtask", "target", "navigate"):
         words += [f"--{name}", row[name]] if row[name] else []
     words += [
         *told,
@@ -117,7 +117,8 @@ def wanted(options: argparse.Namespace) -> list[tuple[dict[str, Any], int]]:
         for seed in options.seed:
             for task, subtask, target, count in names:
                 pack = pack_of(options)
-                values = (task, subtask, target, split, seed, pack)
+                navigate = "" if subtask else options.navigate
+                values = (task, subtask, target, split, seed, pack, navigate)
                 row = dict(zip(KEYS, values, strict=True))
                 shown = "/".join(filter(None, (task, subtask or "chain", target)))
                 if count and any(shown.startswith(only) for only in options.only):
@@ -144,6 +145,7 @@ def main() -> None:
     parser.add_argument("--seed", nargs="+", type=int, default=[0])
     parser.add_argument("--episodes", type=int, default=200)
     parser.add_argument("--chains", type=int, default=50)
+    parser.add_argument("--navigate", default="teleport", help="of whole tasks, or drive")
     parser.add_argument("--only", nargs="+", default=[""], help="such as set_table/open")
     options = parser.parse_args()
     told = ["--policy", options.policy, "--assets", options.assets]

@@ -125,6 +125,10 @@ def failure_of(row: dict[str, Any] | None) -> str:
     return f"{name.removesuffix(FAILURE).replace('_', ' ')} {failures[name]}"
 
 
+BETWEEN = {"teleport": "teleport", "drive": "the expert drives"}
+"""What happens between the subtasks of a whole task."""
+
+
 def judged_rows(pack: str) -> list[dict[str, Any]]:
     return [row for row in read("students-judged")["rows"] if row["pack"] == pack]
 
@@ -172,10 +176,11 @@ def _means(rows: list[dict[str, Any]], splits: list[str]) -> list[str]:
 def chain_table(pack: str) -> str:
     """One line per whole task, split and seed, in a pack's homes."""
     rows = [row for row in judged_rows(pack) if not row["subtask"]]
-    head = ("task", "split", "seed", "whole task %", "95 %", "of", "tainted")
+    head = ("task", "between", "split", "seed", "whole task %", "95 %", "of", "tainted")
     lines = []
     for row in rows:
-        line = [row["task"], row["split"], str(row["seed"]), *share_of(row)]
+        between = BETWEEN[row["navigate"]]
+        line = [row["task"], between, row["split"], str(row["seed"]), *share_of(row)]
         line.append(str(row["tainted"]))
         counts = [part for part in row["subtasks"] if part["kind"] != "navigate"]
         shares = (

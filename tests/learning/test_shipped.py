@@ -13,7 +13,12 @@ import pytest
 from mjhab.cli.main import parse
 from mjhab.evaluation.evaluate import EvalSpec, resolved_config
 from mjhab.evaluation.parts import describe_policy
-from mjhab.evaluation.resolve import full_spec, inspect_policy, resolve_policy
+from mjhab.evaluation.resolve import (
+    Wanted,
+    full_spec,
+    inspect_policy,
+    resolve_policy,
+)
 from mjhab.learning import shipped_kind
 from mjhab.learning.assigned.entries import trained_for
 from mjhab.learning.assigned.files import read_entries
@@ -21,6 +26,7 @@ from mjhab.learning.checkpoint import load_checkpoint, load_student, save_studen
 from mjhab.learning.policy import StudentEnsemble
 from mjhab.learning.policy_kind import members
 from mjhab.learning.students.heads import make_student
+from mjhab.scenes.pack_source import pack_request
 from tests.learning.small import INPUTS, config, fake_env, layout
 from tests.refusals import refused
 
@@ -168,6 +174,25 @@ def test_a_file_of_policies_has_a_name_of_its_own(shelf: Path) -> None:
         resolve_policy(spec.policy, env)
 
 
+def test_a_file_names_students_of_the_package_beside_others_that_see_larger_images(
+    shelf: Path,
+) -> None:
+    half = dataclasses.replace(INPUTS, image_size=INPUTS.image_size // 2)
+    student = make_student(config(inputs=half), layout(half))
+    save_student(
+        shelf / "set_table.close.kitchen_counter-drawer3.safetensors", student, {}
+    )
+    name = "learned:set_table/close/kitchen_counter/drawer3"
+    entries = [{"subtask": "close", "target": "", "checkpoint": name}]
+    path = shelf / "mine.json"
+    path.write_text(json.dumps({"policies": entries}))
+    env = fake_env(1)
+    vars(env.config).update(CLOSE, navigate="teleport")
+    assert resolve_policy(str(path), env).name == "policies"
+    with refused(said="does not fit this environment"):
+        resolve_policy(name, env)
+
+
 def test_the_old_name_finds_the_same_and_stays_the_name_of_its_runs(
     shelf: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -212,15 +237,17 @@ def test_files_of_policies_name_what_is_there_and_was_trained_for_it(name: str) 
     for entry in read_entries(shipped_kind.policy_files()[name]):
         if entry.checkpoint == "expert":
             continue
-        path = Path(entry.checkpoint)
-        assert path.stat().st_size <= LARGEST_BYTES
-        about = load_checkpoint(path).about
-        learned = [one for one in trained_for(path, about) if one.task == entry.task]
-        assert (entry.subtask, entry.target) in {
-            (one.subtask, target) for one in learned for target in (one.target, "")
-        }
-        assert about["scene"]["profile"] == "ms_hab"
-        assert about["scene"]["assets"]["place"] == name
+        kind, _, what = entry.checkpoint.partition(":")
+        own = kind == "learned" and shipped_kind.shipped_path(**vars(Wanted.parse(what)))
+        for path in members(own or entry.checkpoint):
+            assert path.stat().st_size <= LARGEST_BYTES
+            about = load_checkpoint(path).about
+            trained = [one for one in trained_for(path, about) if one.task == entry.task]
+            assert (entry.subtask, entry.target) in {
+                (one.subtask, target) for one in trained for target in (one.target, "")
+            }
+            assert about["scene"]["profile"] == "ms_hab"
+            assert pack_request(about["scene"].get("assets", "builtin")).place == name
 
 
 @pytest.mark.usefixtures("shelf")

@@ -83,12 +83,14 @@ class PolicyOptions:
     """Options of a policy.
 
     seed: of the run. style: style options of the expert, see `Styles.parse`. instruction: sentence that the policy gets
-    in place of the episodes' own; "" for these.
+    in place of the episodes' own; "" for these. pools: whether the environment's images may be larger than those that
+    the policy was trained with, as they may where several policies act.
     """
 
     seed: int = 0
     style: tuple[str, ...] = ()
     instruction: str = ""
+    pools: bool = False
 
 
 class OpenedPolicy(ABC):

@@ -177,11 +177,9 @@ class PoliciesFolder(PoliciesFile):
 
 def _built(opened: OpenedPolicy, env: RolloutEnv, options: PolicyOptions) -> Policy:
     """The policy of an entry; a checkpoint may see means of the pixels of larger images."""
-    if isinstance(opened, policy_kind.CheckpointFiles):
-        return opened.build_in(env, options, pools=True)
     # Only the expert has a style.
-    mine = options if opened.spec == EXPERT else replace(options, style=())
-    return opened.build(env, mine)
+    style = options.style if opened.spec == EXPERT else ()
+    return opened.build(env, replace(options, style=style, pools=True))
 
 
 class PoliciesBySubtask:

@@ -137,17 +137,7 @@ class CheckpointFiles(OpenedPolicy):
         )
 
     def _build(self, env: RolloutEnv, options: PolicyOptions) -> Policy:
-        return self.build_in(env, options)
-
-    def build_in(
-        self, env: RolloutEnv, options: PolicyOptions, pools: bool = False
-    ) -> Policy:
         """Build the policy.
-
-        Args:
-            env: the environment.
-            options: of the run.
-            pools: whether images may be larger than those that a student was trained with, as they may with several.
 
         Raises:
             UsageError: see `content`; the environment's observations or actions do not match the student's; or
@@ -172,7 +162,7 @@ class CheckpointFiles(OpenedPolicy):
                 student,
                 acting,
                 options.seed,
-                student.layout.pool_in(acting) if pools or several else 1,
+                student.layout.pool_in(acting) if options.pools or several else 1,
                 options.instruction,
             )
             for student in students

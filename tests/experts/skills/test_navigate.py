@@ -224,6 +224,20 @@ def test_chain_may_be_driven():
     assert env.view(0).signal("robot_rest")
 
 
+@pytest.mark.parametrize(("task", "opens"), [("tidy_house", True), ("set_table", False)])
+def test_the_hand_is_open_on_the_way_to_an_object_and_at_rest_to_a_drawer(
+    task: str, opens: bool
+) -> None:
+    env = build(task, "", navigate="drive")
+    drive(env, 0, 400)
+    assert env.progress.pointer[0] == 1
+    fingers = list(env.layout.robot.finger_columns)
+    wide = [env.layout.robot.joint_limits[fingers[0]][1]] * 2
+    wanted = wide if opens else env.layout.robot.rest[fingers]
+    np.testing.assert_allclose(env.state.robot_q[0, fingers], wanted, atol=2e-3)
+    assert np.abs(env.state.robot_qd[0, fingers]).max() < 0.01
+
+
 def test_chain_teleports_unless_told_otherwise():
     away = {}
     for mode in ("teleport", "drive"):

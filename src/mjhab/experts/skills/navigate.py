@@ -142,8 +142,7 @@ def navigate(view: WorldView) -> Motion:
     subtask = view.subtask
     assert subtask is not None
     held = subtask.obj if subtask.must_hold else ""
-    # As after a teleport: policies that have seen drawn starts alone do not know an open hand at rest.
-    gripper = motion.CLOSED if held else motion.gripper_at_rest(view.robot)
+    gripper = motion.CLOSED if held else _empty_hand(view)
     posture = motion.rest_goal(view)
     felt = np.zeros((0, 3))
     aim = Aim.of(view)
@@ -162,6 +161,19 @@ def navigate(view: WorldView) -> Motion:
             yield from _back_off(view, posture, gripper, trajectory)
         elif _arrived(view, aim):
             yield from _stand(view, aim, posture, gripper)
+
+
+def _empty_hand(view: WorldView) -> float:
+    """Gripper command on the way: open where an object is to be picked up; to a drawer or door as at rest.
+
+    Policies that have seen drawn starts alone, which have the fingers of the rest posture, find no handle with an open
+    hand, while they pick more objects with it.
+    """
+    subtask = view.subtask
+    assert subtask is not None
+    if subtask.link and subtask.toward == subtask.link:
+        return motion.gripper_at_rest(view.robot)
+    return motion.OPEN
 
 
 def detours(view: WorldView, aim: Aim, points: np.ndarray) -> np.ndarray:

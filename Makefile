@@ -42,9 +42,9 @@ setup: $(VENV)/.dev  ## install mjhab and its development tools into .venv
 demo: $(VENV)/.core  ## a Fetch robot does SetTable in furnished homes; films and report in runs/demo
 	$(BIN)/mjhab demo --out $(DEMO_OUT)
 
-demo-student: $(VENV)/.learn  ## a learned policy opens a drawer; films in runs/demo-student
-	$(BIN)/mjhab eval --policy learned --task set_table --subtask open --target kitchen_counter/drawer3 --split val \
-	  --episodes 8 --worlds 8 --seed 0 --films 4 --out $(DEMO_STUDENT_OUT) --overwrite
+demo-student: $(VENV)/.learn  ## learned policies set the table, the expert drives; films in runs/demo-student
+	$(BIN)/mjhab eval --policy learned:builtin --task set_table --navigate drive --split test \
+	  --episodes 8 --worlds 8 --seed 0 --films 2 --out $(DEMO_STUDENT_OUT) --overwrite
 	@echo "Open in a browser (no network needed): $(CURDIR)/$(DEMO_STUDENT_OUT)/report.html"
 
 test: $(VENV)/.dev  ## the whole test suite, with the slowest tests listed at the end

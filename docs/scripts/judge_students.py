@@ -47,8 +47,11 @@ def command(
     """`mjhab eval` of a row; ``told``: the policy, and the pack."""
     words = [sys.executable, "-m", "mjhab", "eval"]
     words += ["--task", row["task"], "--split", row["split"], "--seed", str(row["seed"])]
-    for name in ("subtask", "target", "navigate"):
+    for name in ("subtask", "target"):
         words += [f"--{name}", row[name]] if row[name] else []
+    if row["navigate"]:
+        way, *style = row["navigate"].split()
+        words += ["--navigate", way, *(["--style", *style] if style else [])]
     words += [
         *told,
         "--profile",
@@ -145,7 +148,11 @@ def main() -> None:
     parser.add_argument("--seed", nargs="+", type=int, default=[0])
     parser.add_argument("--episodes", type=int, default=200)
     parser.add_argument("--chains", type=int, default=50)
-    parser.add_argument("--navigate", default="teleport", help="of whole tasks, or drive")
+    parser.add_argument(
+        "--navigate",
+        default="teleport",
+        help="of whole tasks; or drive, 'drive hand=open'",
+    )
     parser.add_argument("--only", nargs="+", default=[""], help="such as set_table/open")
     options = parser.parse_args()
     told = ["--policy", options.policy, "--assets", options.assets]

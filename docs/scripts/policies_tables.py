@@ -125,7 +125,11 @@ def failure_of(row: dict[str, Any] | None) -> str:
     return f"{name.removesuffix(FAILURE).replace('_', ' ')} {failures[name]}"
 
 
-BETWEEN = {"teleport": "teleport", "drive": "the expert drives"}
+BETWEEN = {
+    "teleport": "teleport",
+    "drive": "the expert drives",
+    "drive hand=open": "the same, `hand=open`",
+}
 """What happens between the subtasks of a whole task."""
 
 

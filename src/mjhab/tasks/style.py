@@ -31,6 +31,8 @@ STEP = "step"
 BURSTS = "bursts"
 COUNTED = "counted"
 VISIBLE = "visible"
+REST = "rest"
+OPEN = "open"
 SEARCH = "search"
 RULE = "rule"
 RANGE = ".."
@@ -113,6 +115,14 @@ class Style:
         metadata={
             "words": (AHEAD, TARGET),
             "about": "the head looks ahead, or follows what is worked on; with a stationary head it stays",
+        },
+    )
+    hand: str = field(
+        default=REST,
+        metadata={
+            "words": (REST, OPEN),
+            "about": "the empty hand while the robot drives: its fingers as at rest, where drawn starts have them, or "
+            "open on the way to an object",
         },
     )
     noise: float = field(

@@ -16,6 +16,7 @@ from mjhab.experts.base.lattice import YAWS, Lattice
 from mjhab.experts.base.limits import DRIVE_FREE
 from mjhab.experts.skills import navigate
 from mjhab.tasks.plan import Subtask
+from mjhab.tasks.style import Styles
 from tests.refusals import refused
 
 CELL = 0.05
@@ -137,10 +138,12 @@ def active(env: SequentialTaskEnv) -> Subtask:
     return subtask
 
 
-def drive(env: SequentialTaskEnv, episode: int, steps: int, halfway=None) -> dict:
+def drive(
+    env: SequentialTaskEnv, episode: int, steps: int, halfway=None, style=()
+) -> dict:
     """Let the expert drive; returns how it ended. ``halfway(env)`` is called once in the middle of the way."""
     obs, info = env.reset(seed=0, options={"episode": [episode]})
-    policy = make_expert(env)
+    policy = make_expert(env, Styles.parse(style))
     policy.reset(np.ones(1, bool))
     start = env.state.robot_q[0, :2].copy()
     moves = []
@@ -224,12 +227,19 @@ def test_chain_may_be_driven():
     assert env.view(0).signal("robot_rest")
 
 
-@pytest.mark.parametrize(("task", "opens"), [("tidy_house", True), ("set_table", False)])
-def test_the_hand_is_open_on_the_way_to_an_object_and_at_rest_to_a_drawer(
-    task: str, opens: bool
+@pytest.mark.parametrize(
+    ("task", "style", "opens"),
+    [
+        ("tidy_house", (), False),
+        ("tidy_house", ("hand=open",), True),
+        ("set_table", ("hand=open",), False),
+    ],
+)
+def test_the_empty_hand_is_at_rest_or_open_on_the_way_to_an_object(
+    task: str, style: tuple[str, ...], opens: bool
 ) -> None:
     env = build(task, "", navigate="drive")
-    drive(env, 0, 400)
+    drive(env, 0, 400, style=style)
     assert env.progress.pointer[0] == 1
     fingers = list(env.layout.robot.finger_columns)
     wide = [env.layout.robot.joint_limits[fingers[0]][1]] * 2

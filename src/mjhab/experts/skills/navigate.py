@@ -27,6 +27,8 @@ from mjhab.experts.base.route import BLOCKED_FORCE_N, BLOCKED_STEPS
 from mjhab.experts.phases import phase
 from mjhab.experts.planning.base_poses import in_sight
 from mjhab.experts.planning.carry import inside_depth
+from mjhab.experts.style import style_of
+from mjhab.tasks.style import OPEN
 
 WANTED_DISTANCE_M = 0.95
 """Preferred distance between base and goal, from which the next subtask needs little driving."""
@@ -164,16 +166,17 @@ def navigate(view: WorldView) -> Motion:
 
 
 def _empty_hand(view: WorldView) -> float:
-    """Gripper command on the way: open where an object is to be picked up; to a drawer or door as at rest.
+    """Gripper command on the way: as at rest, or open where style and subtask have it.
 
-    Policies that have seen drawn starts alone, which have the fingers of the rest posture, find no handle with an open
-    hand, while they pick more objects with it.
+    Drawn starts have the fingers of the rest posture. Policies that have seen these alone find no handle with an open
+    hand; some of them pick more objects with it, and some fewer.
     """
     subtask = view.subtask
     assert subtask is not None
-    if subtask.link and subtask.toward == subtask.link:
-        return motion.gripper_at_rest(view.robot)
-    return motion.OPEN
+    to_link = subtask.link and subtask.toward == subtask.link
+    if style_of(view).hand == OPEN and not to_link:
+        return motion.OPEN
+    return motion.gripper_at_rest(view.robot)
 
 
 def detours(view: WorldView, aim: Aim, points: np.ndarray) -> np.ndarray:

@@ -128,7 +128,7 @@ def failure_of(row: dict[str, Any] | None) -> str:
 BETWEEN = {
     "teleport": "teleport",
     "drive": "the expert drives",
-    "drive hand=open": "the same, `hand=open`",
+    "drive hand=open": "the expert drives, `hand=open`",
 }
 """What happens between the subtasks of a whole task."""
 

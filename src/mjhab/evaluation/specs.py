@@ -77,7 +77,7 @@ class EvalSpec(EnvSpec):
     style: Annotated[tuple[str, ...], Flag(metavar="NAME=VALUE ...")] = ()
     """Style of the expert, e.g. speed=0.5..1.0 grasp=side release=drop noise=0.05; every episode draws its own value
     from a range or a list (a,b). Names: speed, grasp, release, drop_height, close, pull, open_further, waits,
-    plan, look, noise, base_noise, noise_kind, hold, dither, mishap (see docs/data/record.md)."""
+    plan, look, hand, noise, base_noise, noise_kind, hold, dither, mishap (see docs/data/record.md)."""
     instruction: Annotated[
         str | None, Flag(metavar="SENTENCE", shown="default: the episodes'")
     ] = None
@@ -190,7 +190,7 @@ class GenerateSpec(EnvSpec):
     style: Annotated[tuple[str, ...], Flag(metavar="NAME=VALUE ...")] = ()
     """Style of the expert, e.g. speed=0.5..1.0 grasp=side release=drop noise=0.05; every episode draws its own value
     from a range or a list (a,b). Names: speed, grasp, release, drop_height, close, pull, open_further, waits,
-    plan, look, noise, base_noise, noise_kind, hold, dither, mishap (see docs/data/record.md)."""
+    plan, look, hand, noise, base_noise, noise_kind, hold, dither, mishap (see docs/data/record.md)."""
     per_target: int = 0
     """Episodes to keep per target (in total for whole tasks and Navigate); 0 for no limit."""
     per_label: int = 0

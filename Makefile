@@ -44,7 +44,7 @@ demo: $(VENV)/.core  ## a Fetch robot does SetTable in furnished homes; films an
 
 demo-student: $(VENV)/.learn  ## learned policies set the table, the expert drives; films in runs/demo-student
 	$(BIN)/mjhab eval --policy learned:builtin --task set_table --navigate drive --split test \
-	  --episodes 8 --worlds 8 --seed 0 --films 2 --out $(DEMO_STUDENT_OUT) --overwrite
+	  --episodes 4 --worlds 4 --seed 0 --films 2 --out $(DEMO_STUDENT_OUT) --overwrite
 	@echo "Open in a browser (no network needed): $(CURDIR)/$(DEMO_STUDENT_OUT)/report.html"
 
 test: $(VENV)/.dev  ## the whole test suite, with the slowest tests listed at the end

@@ -73,7 +73,7 @@ def _png(pixels: np.ndarray) -> bytes:
     """A PNG of (H, W, 3) uint8 or (H, W, 1) big-endian uint16.
 
     Every row is stored as its difference from the one above. Pillow tries all five filters of PNG on each row: depth is
-    1 to 4 % smaller then, colours 4 to 8 %, and both take twice as long, a quarter of the time of a recorded step.
+    1 to 4 % smaller then, colours 4 to 8 %, and both take twice as long.
     """
     high, wide, channels = pixels.shape
     rows = np.ascontiguousarray(pixels).view(np.uint8).reshape(high, -1)

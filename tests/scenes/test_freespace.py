@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -9,6 +11,8 @@ from hypothesis import strategies as st
 
 from mjhab.scenes.freespace import MAX_KEPT_FIELDS, free_map, reach
 from mjhab.scenes.shapes.blocking import blocking_polygons
+from mjhab.scenes.shapes.footprints import turned
+from mjhab.scenes.shapes.hulls import hull_mesh
 from mjhab.scenes.shapes.shapes import box, rod, span
 from mjhab.scenes.spec import Geom, Home, Pack, Placement, Prop, Receptacle
 from tests.refusals import refused
@@ -64,6 +68,26 @@ def test_every_blocked_point_is_marked() -> None:
     for angle in np.linspace(0.0, 2 * np.pi, 60):
         point = np.array([1.3, 2.2]) + 0.199 * np.array([np.cos(angle), np.sin(angle)])
         assert free.clearance_at(point) == 0.0
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.integers(0, 10**6), st.floats(-3.2, 3.2))
+def test_every_point_of_a_turned_mesh_is_marked(seed: int, yaw: float) -> None:
+    # The mesh lies on its side, as those of ReplicaCAD: from above, the corners of its ends coincide up to rounding.
+    rng = np.random.default_rng(seed)
+    plan = rng.uniform(-0.5, 0.5, (12, 2))
+    x, y = np.tile(plan, (2, 1)).T
+    mesh = hull_mesh(np.column_stack([x, np.repeat([0.1, 0.9], 12), -y]))
+    up = (0.70710678, 0.70710679, 0.0, 0.0)
+    upright = Geom("mesh", (1.0, 1.0, 1.0), quat=up, mesh="prism")
+    prism = Prop("prism", (upright,))
+    placement = Placement("prism", (2.0, 2.0, 0.0), yaw)
+    pack = dataclasses.replace(_pack(prism), meshes={"prism": mesh})
+    home = _room(props=(placement,))
+    assert len(blocking_polygons(home, pack)) == 1
+    weights = rng.dirichlet(np.full(12, 0.3), 300)
+    inside = turned(placement, (weights @ plan)[None] * 0.999)[0]
+    assert not free_map(home, pack).clearance_at(inside).any()
 
 
 def test_only_what_stands_in_the_way_blocks() -> None:

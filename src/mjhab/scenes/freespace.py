@@ -347,6 +347,7 @@ def _fill_alike(
     ends = np.roll(polygons, -1, axis=1)
     for a, b in zip(polygons.swapaxes(0, 1), ends.swapaxes(0, 1), strict=True):
         normal = np.stack([b[:, 1] - a[:, 1], a[:, 0] - b[:, 0]], axis=1)
+        normal /= np.linalg.norm(normal, axis=1, keepdims=True)
         # A square reaches this far towards an edge; cells that only touch the polygon stay free.
         slack = cell / 2 * np.abs(normal).sum(axis=1) - 1e-9
         away = (x - a[own, 0]) * normal[own, 0] + (y - a[own, 1]) * normal[own, 1]

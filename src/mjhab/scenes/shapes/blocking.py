@@ -6,10 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import ConvexHull
 
 from mjhab.core.rotations import mat_from_quat
 from mjhab.scenes.shapes.footprints import all_geoms, outline, turned
+from mjhab.scenes.shapes.hulls import hull_from_above
 from mjhab.scenes.spec import (
     IDENTITY,
     Articulation,
@@ -116,6 +116,4 @@ def _flat_hull(points: np.ndarray) -> np.ndarray | None:
     """Counter-clockwise hull (N, 2) [m] of points (P, 3) seen from above; None if it does not block the base."""
     if points[:, 2].min() >= ROBOT_HEIGHT_M or points[:, 2].max() <= 0.0:
         return None
-    # Seen from above, corners coincide; Qhull is exact about the rest.
-    flat = np.unique(points[:, :2].round(9), axis=0)
-    return flat[ConvexHull(flat).vertices]
+    return hull_from_above(points)

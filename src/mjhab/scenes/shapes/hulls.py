@@ -18,6 +18,20 @@ _BOXES: weakref.WeakKeyDictionary[Mesh, tuple[np.ndarray, np.ndarray, np.ndarray
 )
 
 
+_SHORTEST_EDGE_M = 1e-5
+"""Edges of outlines below this length [m] have rounding errors for their direction."""
+
+
+def hull_from_above(points: np.ndarray) -> np.ndarray:
+    """Compute the corners (N, 2) [m], counter-clockwise, of the convex hull of points (P, 3) [m] seen from above."""
+    # Seen from above, corners coincide; Qhull is exact about the rest.
+    flat = np.unique(points[:, :2].round(9), axis=0)
+    corners = flat[ConvexHull(flat).vertices]
+    # Those of turned shapes coincide up to rounding: half-planes along such edges would cut the hull anywhere.
+    step = np.linalg.norm(corners - np.roll(corners, 1, axis=0), axis=1)
+    return corners[step > _SHORTEST_EDGE_M]
+
+
 def smallest_box(points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Compute the box of least volume around points (P, 3) that has a face parallel to a face of their hull.
 

@@ -7,10 +7,10 @@ from itertools import chain
 from typing import Any
 
 import numpy as np
-from scipy.spatial import ConvexHull
 
 from mjhab.core.rotations import mat_from_quat
 from mjhab.scenes.shapes.footprints import FloorPolygon, all_geoms, outline
+from mjhab.scenes.shapes.hulls import hull_from_above
 from mjhab.scenes.spec import Geom, Home, Link, Pack, Placement
 
 _SWEEP_POSES = 24
@@ -144,13 +144,7 @@ def _flat(geom: Geom, link: Link, lift: float) -> tuple[np.ndarray, tuple[float,
     z = points[:, 2] + link.pos[2] + lift
     # Doors end at the height of the plinth and of the worktop, and do not touch them.
     height = float(z.min()) + _SKIN_M, float(z.max()) - _SKIN_M
-    return _hull(points), height
-
-
-def _hull(points: np.ndarray) -> np.ndarray:
-    """Corners (N, 2) [m] of the convex hull of points (P, 3) [m] seen from above."""
-    flat = np.unique(points[:, :2].round(9), axis=0)
-    return flat[ConvexHull(flat).vertices]
+    return hull_from_above(points), height
 
 
 def _moved(corners: np.ndarray, link: Link, at: Placement, q: float) -> np.ndarray:
@@ -211,4 +205,4 @@ def _solid(
         at.pos
     )
     height = float(points[:, 2].min()), float(points[:, 2].max())
-    return FloorPolygon(name, _hull(points), height)
+    return FloorPolygon(name, hull_from_above(points), height)

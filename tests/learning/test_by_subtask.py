@@ -188,14 +188,22 @@ def test_the_expert_does_what_a_file_leaves_to_it(tmp_path: Path) -> None:
         worlds=1,
         films=0,
         navigate="drive",
+        style=("hand=open",),
         out=tmp_path / "run",
     )
     (record,) = run.records
+    assert record.style["hand"] == "open"
     # The expert drives to the drawer; nobody opens it.
     assert record.completed == 1 and [s.kind for s in record.subtasks] == [
         "navigate",
         "open",
     ]
+    style = ("hand=open",)
+    alone = tmp_path / "alone"
+    opening = {"task": "set_table", "subtask": "open", "target": "fridge/top_door"}
+    with refused("style", style, expected="only the expert has a style"):
+        mjhab.evaluate(str(path), **opening, episodes=1, style=style, out=alone)
+    assert not alone.exists()
 
 
 def test_files_of_policies_are_read_and_refused(tmp_path: Path) -> None:
@@ -295,7 +303,11 @@ def test_a_folder_of_training_runs_is_a_file_of_policies(tmp_path: Path) -> None
     env = fake_env(1)
     task, subtask, target = close
     env.config = SimpleNamespace(
-        **vars(env.config), task=task, subtask=subtask, target=target
+        **vars(env.config),
+        task=task,
+        subtask=subtask,
+        target=target,
+        navigate="teleport",
     )
     # A script may name the folder alone.
     policy = resolve_policy(spec, env)

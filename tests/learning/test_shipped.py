@@ -17,6 +17,7 @@ from mjhab.evaluation.resolve import (
     Wanted,
     full_spec,
     inspect_policy,
+    open_policy,
     resolve_policy,
 )
 from mjhab.learning import shipped_kind
@@ -283,5 +284,7 @@ def test_the_expert_drives_where_no_student_does(
 
     ship("pick")
     assert drivers() == ["expert"]
+    assert open_policy("learned:set_table").takes_style
     shipped = ship("navigate")
     assert drivers() == [shipped]
+    assert not open_policy("learned:set_table").takes_style

@@ -123,6 +123,7 @@ def run_evaluation(spec: EvalSpec, sinks: Sequence[Sink] = ()) -> Run:
         EvaluationInterrupted: Ctrl-C was pressed; summary and report are written before it is raised.
     """
     opened = open_any(spec.policy)
+    opened.check(policy_options(spec))
     facts = opened.facts
     config = resolved_config(spec, facts)
     path = spec.out or default_out(spec, facts.name)

@@ -28,7 +28,6 @@ from mjhab.data.store.reading import RecordedEpisode
 from mjhab.episodes.starts import valid_targets
 from mjhab.evaluation.parts import (
     check_sendable,
-    describe_policy,
     env_options,
     make_env,
     open_any,
@@ -158,7 +157,9 @@ def make_job(spec: GenerateSpec) -> Job:
     Raises:
         UsageError: there is no such policy, it cannot be sent to workers, or its options contradict others.
     """
-    facts = describe_policy(spec.policy)
+    opened = open_any(spec.policy)
+    opened.check(policy_options(spec.as_evaluation()))
+    facts = opened.facts
     # Ray has a pickler of its own, which sends more.
     if spec.workers and not spec.ray:
         check_sendable(spec.policy, facts.name)

@@ -18,7 +18,7 @@ from types import ModuleType
 
 from mjhab.core.errors import fault, unknown_name, wrong_value
 from mjhab.evaluation.own_policy import check_methods, construct_policy, env_options_of
-from mjhab.evaluation.resolve import OpenedPolicy, PolicyFacts, PolicyOptions, check_style
+from mjhab.evaluation.resolve import OpenedPolicy, PolicyFacts, PolicyOptions
 from mjhab.rollout.policy import Policy, RolloutEnv
 
 
@@ -44,9 +44,8 @@ class PolicyClass(OpenedPolicy):
         """Instantiate the class.
 
         Raises:
-            UsageError: as `facts`; or ``options`` sets a style; or the constructor has other parameters.
+            UsageError: as `facts`; or the constructor has other parameters.
         """
-        check_style(self.spec, options.style)
         return construct_policy(_load_class(self.spec), env)
 
 

@@ -107,6 +107,11 @@ class OpenedPolicy(ABC):
         self.spec = spec
 
     @property
+    def takes_style(self) -> bool:
+        """Whether the expert acts in it, which alone has `PolicyOptions.style`."""
+        return False
+
+    @property
     @abstractmethod
     def facts(self) -> PolicyFacts:
         """Description of the policy without an environment.
@@ -123,13 +128,24 @@ class OpenedPolicy(ABC):
             options: None for seed 0, no style and the instructions of the episodes.
 
         Raises:
-            UsageError: there is no such policy, it cannot act in this environment, or it takes no instruction and
-                ``options`` has one.
+            UsageError: there is no such policy, it cannot act in this environment, or as `check`.
         """
         options = options or PolicyOptions()
+        self.check(options)
+        return self._build(env, options)
+
+    def check(self, options: PolicyOptions) -> None:
+        """Check what needs no environment.
+
+        Raises:
+            UsageError: ``options`` has an instruction or a style that the policy does not take; an option of the style
+                is unknown or out of range.
+        """
         if options.instruction and not self.takes_instruction:
             raise no_instruction(self.spec)
-        return self._build(env, options)
+        Styles.parse(options.style)
+        if options.style and not self.takes_style:
+            raise no_style(self.spec, options.style)
 
     @abstractmethod
     def _build(self, env: RolloutEnv, options: PolicyOptions) -> Policy:
@@ -252,19 +268,10 @@ def no_instruction(policy: str) -> UsageError:
     )
 
 
-def check_style(policy: object, style: Sequence[str]) -> None:
-    """Check the style options of a policy, see `Styles.parse`.
-
-    Raises:
-        UsageError: an option is unknown or out of range, or the policy is not the expert, which alone has a style.
-    """
-    if style and policy != EXPERT:
-        raise wrong_value(
-            "style",
-            tuple(style),
-            f"left out: only the policy expert has one, not {policy}",
-        )
-    Styles.parse(style)
+def no_style(policy: str, style: Sequence[str], advice: str = "") -> UsageError:
+    """Make the error for a policy in which no expert acts, and that has a style."""
+    meant = f"left out: only the expert has a style, and it does not act in {policy}"
+    return wrong_value("style", tuple(style), meant, advice)
 
 
 def full_spec(spec: str, task: str, subtask: str | None, target: str | None) -> str:

@@ -15,13 +15,14 @@ from mjhab.core.typed.bounds import Bound, Output
 from mjhab.core.typed.checks import check
 from mjhab.core.typed.flags import Flag, OptionsOf
 from mjhab.core.typed.options import fitting, take_options, taken
-from mjhab.evaluation.resolve import check_style, full_spec
+from mjhab.evaluation.resolve import full_spec
 from mjhab.robots.registry import robot_named
 from mjhab.robots.robot import Robot
 from mjhab.rollout.policy import Policy
 from mjhab.scenes.shading import PATH, RASTER
 from mjhab.serving.address import SCHEMES, Address, with_options
 from mjhab.tasks.instructions import telling_words
+from mjhab.tasks.style import Styles
 
 if TYPE_CHECKING:
     from mjhab.data.select.query import Filter
@@ -125,7 +126,7 @@ class EvalSpec(EnvSpec):
     def __post_init__(self) -> None:
         super().__post_init__()
         asked = self.asked
-        check_style(self.policy, self.style)
+        Styles.parse(self.style)
         if asked.target and not asked.subtask:
             raise wrong_value(
                 "target",

@@ -22,18 +22,25 @@ from mjhab.core.errors import fault
 from mjhab.core.names import kind_of
 from mjhab.evaluation.parts import close_policy
 from mjhab.evaluation.resolve import (
-    EXPERT,
     OpenedPolicy,
     PolicyFacts,
     PolicyOptions,
     full_spec,
+    no_style,
     open_policy,
     wanted_of,
 )
 from mjhab.learning import policy_kind
 from mjhab.learning.assigned.entries import Entry, chosen
 from mjhab.learning.assigned.files import entries_in, read_entries
-from mjhab.rollout.policy import Correctable, Fallible, Policy, RolloutEnv, Selective
+from mjhab.rollout.policy import (
+    Correctable,
+    Fallible,
+    Policy,
+    RolloutEnv,
+    Selective,
+    Styled,
+)
 from mjhab.tasks.household.registry import TASKS
 from mjhab.tasks.subtasks.registry import SUBTASKS
 
@@ -58,6 +65,11 @@ class PoliciesTogether(OpenedPolicy):
     def opened(self) -> list[OpenedPolicy]:
         """Their policies."""
         return [open_policy(entry.checkpoint) for entry in self.entries]
+
+    @property
+    def takes_style(self) -> bool:
+        """Whether the expert is one of them."""
+        return any(one.takes_style for one in self.opened)
 
     @property
     def name(self) -> str:
@@ -113,16 +125,23 @@ class PoliciesTogether(OpenedPolicy):
         """Build the policies of entries.
 
         Raises:
-            UsageError: as `facts`; ``options`` sets a style; or a subtask of the environment has no policy.
+            UsageError: as `facts`; ``options`` sets a style and no expert acts in this environment; or a subtask of it
+                has no policy.
         """
         config = cast(Any, env).config
-        wanted = (config.subtask,) if config.subtask else TASKS[config.task].subtasks
-        having = {entry.subtask for entry in entries}
+        every = (config.subtask,) if config.subtask else TASKS[config.task].subtasks
+        teleports = config.navigate == "teleport"
+        # The environment itself executes a teleport.
+        wanted = [name for name in every if not (teleports and SUBTASKS[name].navigates)]
+        having = {
+            entry.subtask: one.takes_style
+            for entry, one in zip(entries, opened, strict=True)
+        }
+        if options.style and not any(having.get(subtask) for subtask in wanted):
+            raise no_style(self.name, options.style)
         for subtask in wanted:
-            # The environment itself executes these.
-            teleports = SUBTASKS[subtask].navigates and config.navigate == "teleport"
             # Found before the rollout: a chain would otherwise fail at its third subtask.
-            if subtask not in having and not teleports:
+            if subtask not in having:
                 raise fault(
                     self.spec,
                     f"has no policy for {subtask}; it has some for {sorted(having)}.",
@@ -177,8 +196,7 @@ class PoliciesFolder(PoliciesFile):
 
 def _built(opened: OpenedPolicy, env: RolloutEnv, options: PolicyOptions) -> Policy:
     """The policy of an entry; a checkpoint may see means of the pixels of larger images."""
-    # Only the expert has a style.
-    style = options.style if opened.spec == EXPERT else ()
+    style = options.style if opened.takes_style else ()
     return opened.build(env, replace(options, style=style, pools=True))
 
 
@@ -242,6 +260,12 @@ class PoliciesBySubtask:
                 # Policies without a choice of worlds act in all; what they do in those of others is dropped.
                 actions[mine] = policy.act(obs, about)[mine]
         return actions
+
+    def style(self, world: int) -> Mapping[str, Any]:
+        """See `rollout.policy.Styled`: that of the expert."""
+        # Experts of several entries draw the same for an episode.
+        styles = (one.style(world) for one in self._policies if isinstance(one, Styled))
+        return next(filter(None, styles), {})
 
     def replace_action(self, actions: np.ndarray, replan: bool = False) -> None:
         """See `rollout.policy.Correctable`."""

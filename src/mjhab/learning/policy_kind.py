@@ -18,7 +18,6 @@ from mjhab.evaluation.resolve import (
     OpenedPolicy,
     PolicyFacts,
     PolicyOptions,
-    check_style,
     no_instruction,
 )
 from mjhab.learning.require import require_learn
@@ -141,9 +140,8 @@ class CheckpointFiles(OpenedPolicy):
 
         Raises:
             UsageError: see `content`; the environment's observations or actions do not match the student's; or
-                ``options`` sets a style, or an instruction for students without sentences.
+                ``options`` has an instruction for students without sentences.
         """
-        check_style(self.spec, options.style)
         pairs = zip(self.paths, self.content, strict=True)
         from mjhab.learning.checkpoint import student_of
         from mjhab.learning.policy import StudentEnsemble, StudentPolicy

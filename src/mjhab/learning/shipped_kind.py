@@ -144,17 +144,24 @@ class ShippedTask(PoliciesTogether):
             entries.append(Entry(done.subtask, done.target, opened.spec))
         return tuple(entries)
 
+    @property
+    def takes_style(self) -> bool:
+        """Whether the expert may drive."""
+        return bool(self._driven)
+
+    @property
+    def _driven(self) -> list[str]:
+        """Subtasks that drive and no student has learned."""
+        learned = {entry.subtask for entry in self.entries}
+        subtasks = TASKS[self._task].subtasks
+        return [s for s in subtasks if SUBTASKS[s].navigates and s not in learned]
+
     def _build(self, env: RolloutEnv, options: PolicyOptions) -> Policy:
         """Build them; where the robot is not teleported, the expert drives if no student does."""
         if cast(Any, env).config.navigate != "teleport":
-            learned = {entry.subtask for entry in self.entries}
-            driving = [
-                name
-                for name in TASKS[self._task].subtasks
-                if SUBTASKS[name].navigates and name not in learned
-            ]
-            entries = (*self.entries, *(Entry(name, "", EXPERT) for name in driving))
-            opened = [*self.opened, *(open_policy(EXPERT) for _ in driving)]
+            driven = self._driven
+            entries = (*self.entries, *(Entry(name, "", EXPERT) for name in driven))
+            opened = [*self.opened, *(open_policy(EXPERT) for _ in driven)]
             return self.together(entries, opened, env, options)
         return super()._build(env, options)
 
@@ -180,6 +187,11 @@ class ShippedPolicy(OpenedPolicy):
         if not wanted.subtask:
             return ShippedTask(self._name, wanted.task)
         return CheckpointFiles(shipped_path(wanted.task, wanted.subtask, wanted.target))
+
+    @property
+    def takes_style(self) -> bool:
+        """See `OpenedPolicy.takes_style`."""
+        return self._found.takes_style
 
     @property
     def facts(self) -> PolicyFacts:

@@ -8,8 +8,12 @@ import json
 import re
 from typing import Any, cast
 
-from mjhab.core.errors import wrong_value
-from mjhab.evaluation.resolve import OpenedPolicy, PolicyFacts, PolicyOptions
+from mjhab.evaluation.resolve import (
+    OpenedPolicy,
+    PolicyFacts,
+    PolicyOptions,
+    no_style,
+)
 from mjhab.evaluation.served.metadata import (
     check_rate,
     env_options_of,
@@ -68,20 +72,19 @@ class ServerAddress(OpenedPolicy):
             env_options_of(address, metadata),
         )
 
+    def check(self, options: PolicyOptions) -> None:
+        """See `OpenedPolicy.check`."""
+        if options.style:
+            server = without_password(self.spec)
+            raise no_style(server, options.style, "Give it to its server (mjhab serve).")
+        super().check(options)
+
     def _build(self, env: RolloutEnv, options: PolicyOptions) -> Policy:
         """Connect to the server.
 
         Raises:
-            UsageError: as `facts`; the environment's actions do not match the policy's; or ``options`` sets a
-                style.
+            UsageError: as `facts`; or the environment's actions do not match the policy's.
         """
-        if options.style:
-            raise wrong_value(
-                "style",
-                tuple(options.style),
-                f"left out: only the policy expert has one, not {without_password(self.spec)}",
-                "Give it to its server (mjhab serve).",
-            )
         require_serving()
         from mjhab.evaluation.served.policy import ServedPolicy
 

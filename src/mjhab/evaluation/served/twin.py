@@ -23,7 +23,6 @@ from mjhab.envs.sequential import SequentialTaskEnv
 from mjhab.evaluation.resolve import (
     PolicyFacts,
     PolicyOptions,
-    check_style,
     open_policy,
 )
 from mjhab.rollout.loop import plain
@@ -70,10 +69,10 @@ class TwinResponder:
     def __init__(
         self, spec: str, options: PolicyOptions, assets: Assets = BUILTIN
     ) -> None:
-        check_style(spec, options.style)
         if assets != BUILTIN:
             open_pack(assets)
         self._opened = open_policy(spec)
+        self._opened.check(options)
         self.facts: PolicyFacts = self._opened.facts
         self._options = options
         self._assets = pack_request(assets).as_json()

@@ -13,7 +13,6 @@ from mjhab.evaluation.resolve import (
     OpenedPolicy,
     PolicyFacts,
     PolicyOptions,
-    check_style,
 )
 from mjhab.learning.require import require_learn
 from mjhab.rollout.policy import Policy, RolloutEnv
@@ -60,10 +59,8 @@ class MsHabFile(OpenedPolicy):
         """Build the policy.
 
         Raises:
-            UsageError: as `facts`; the environment lacks observations that the policy needs; or ``options`` sets a
-                style.
+            UsageError: as `facts`; the environment lacks observations that the policy needs.
         """
-        check_style(self.spec, options.style)
         require_learn()
         from mjhab.paper.ms_hab.policy import check_environment, policy_of
 

@@ -22,10 +22,14 @@ import pytest
 
 import mjhab
 from mjhab.cli.main import parse
+from mjhab.cli.parsing import Parsed
 from mjhab.config.perturbing import PERTURBATIONS
+from mjhab.core.errors import UsageError
+from mjhab.evaluation.parts import open_any, policy_options
 from mjhab.evaluation.score.leaderboard import leaderboard
 from mjhab.evaluation.score.manifest import TRACKS
 from mjhab.evaluation.score.result import read_for_table
+from mjhab.evaluation.specs import EvalSpec, GenerateSpec
 from mjhab.scenes.objects import OBJECTS
 from mjhab.scenes.pack_source import PACK_SOURCES
 from tests.docs.check_commands import small as made_quick
@@ -118,15 +122,20 @@ def test_all_code_is_in_blocks_whose_language_is_said(page: Path) -> None:
     assert {block.language for block in blocks(page)} <= set(LANGUAGES)
 
 
-PLACEHOLDER = re.compile(r"^[A-Z_]+(\.[a-z.]+)?$|^<.*>$|\.\.\.|[|\[]")
+PLACEHOLDER = re.compile(r"^<.*>$|\.\.\.|[|\[]")
 
 
 @pytest.mark.parametrize("page", PAGES, ids=name_of)
-def test_commands_exist(page: Path) -> None:
+def test_commands_exist_and_their_options_fit(
+    page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # Away from the files that earlier commands have made here.
+    monkeypatch.chdir(tmp_path)
     for block in blocks(page):
         if block.language == "bash":
             for command in commands(block):
-                check_command(command, block.reason)
+                # These have names that their Python registers.
+                check_command(command, block.reason, runs=name_of(page) not in FILES)
 
 
 def make_targets() -> list[str]:
@@ -147,7 +156,7 @@ def test_make_help_lists_every_target() -> None:
     assert re.findall(r"^  make (\S+)", shown.stdout, re.MULTILINE) == make_targets()
 
 
-def check_command(command: Command, reason: str) -> None:
+def check_command(command: Command, reason: str, runs: bool) -> None:
     targets = make_targets()
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     words = command.words
@@ -158,9 +167,30 @@ def check_command(command: Command, reason: str) -> None:
             assert set(extra.split(",")) <= set(project["optional-dependencies"])
     elif command.program == "mjhab":
         if not any(PLACEHOLDER.search(word) for word in words[1:]):
-            parse(words[1:])
+            parsed = parse(words[1:])
+            if runs:
+                check_options(parsed)
     elif command.program not in ("python",):
         assert reason, f"{' '.join(words)}: nothing runs it, and no comment says why"
+
+
+def check_options(parsed: Parsed) -> None:
+    """Check the options of a command, as it does itself before it begins.
+
+    Raises:
+        UsageError: one does not fit.
+    """
+    try:
+        spec = parsed.spec
+    except UsageError as error:
+        # A file that an earlier command makes.
+        assert "No such file" in str(error), error
+        return
+    asked = spec.as_evaluation() if isinstance(spec, GenerateSpec) else spec
+    if isinstance(asked, EvalSpec) and str(asked.policy).startswith(
+        ("expert", "learned")
+    ):
+        open_any(asked.policy).check(policy_options(asked))
 
 
 @pytest.mark.parametrize(

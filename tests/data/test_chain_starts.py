@@ -67,6 +67,45 @@ def test_a_start_is_the_state_in_which_the_subtask_began(
         assert info["instruction"][world]
 
 
+def test_starts_may_lie_later_in_single_subtasks_that_have_not_succeeded(
+    tmp_path: Path,
+) -> None:
+    run = tmp_path / "run"
+    mjhab.generate("random", subtask="open", episodes=2, horizon=6, worlds=1, out=run)
+    late = mjhab.chain_starts(run, subtask="open", after=5, out=tmp_path / "late.npz")
+    wanted = [
+        episode.array("states/qpos")[5]
+        for episode in sorted(episodes(run), key=lambda each: each.name)
+    ]
+    assert len(late) == 2 and (late.columns["qpos"] == np.array(wanted)).all()
+    with refused("after", 60, expected="less: no open/fridge/top_door of these"):
+        mjhab.chain_starts(
+            run,
+            subtask="open",
+            target="fridge/top_door",
+            after=60,
+            out=tmp_path / "none.npz",
+        )
+
+
+def test_what_has_succeeded_is_no_start(tmp_path: Path) -> None:
+    run = tmp_path / "run"
+    mjhab.generate(
+        "expert",
+        subtask="close",
+        target="kitchen_counter/drawer3",
+        episodes=1,
+        worlds=1,
+        out=run,
+    )
+    (episode,) = episodes(run)
+    first = int(np.flatnonzero(episode.array("reward/success"))[0])
+    with refused("after", first + 1):
+        mjhab.chain_starts(run, subtask="close", after=first + 1, out=tmp_path / "a.npz")
+    before = mjhab.chain_starts(run, subtask="close", after=first, out=tmp_path / "b.npz")
+    assert len(before) == 1
+
+
 def test_the_file_says_what_it_is_for(found: SpawnSet) -> None:
     recipe = SpawnSet.read(found.path).recipe
     assert (recipe.task, recipe.subtask, recipe.split) == ("set_table", "open", "train")

@@ -367,7 +367,7 @@ COMMANDS: tuple[Command, ...] = (
     Command("spawns make", "compute start states once", "worlds.spawns:make"),
     Command(
         "spawns from",
-        "start states from recorded whole tasks",
+        "start states from recorded episodes",
         "worlds.spawns:make_from_chains",
         spec="evaluation.datasets.specs:ChainStartsSpec",
     ),

@@ -125,7 +125,7 @@ def make(spec: SpawnsMakeSpec, json: bool) -> int:
 
 
 def make_from_chains(spec: ChainStartsSpec, json: bool) -> int:
-    """Write a set of starts from recorded whole tasks."""
+    """Write a set of starts from recorded episodes."""
     from mjhab.evaluation.datasets.chain_starts import make_chain_starts
 
     made = make_chain_starts(spec).describe()

@@ -1,7 +1,8 @@
-"""Start states from recorded whole tasks: a subtask begins where the drive before it really ended.
+"""Start states from recorded episodes: a subtask begins where the drive before it really ended, or goes on later.
 
 Policies that are trained from drawn starts alone fail after a drive, which ends elsewhere, with another posture of the
-arm and with objects and drawers as the subtasks before left them. `chain_starts` is `mjhab.chain_starts`; ``mjhab
+arm and with objects and drawers as the subtasks before left them. States in which a policy was stuck are starts from
+which recovery is learned. `chain_starts` is `mjhab.chain_starts`; ``mjhab
 spawns from`` calls `make_chain_starts`.
 """
 
@@ -43,7 +44,7 @@ _SAME = ("task", "split", "assets", "home", "spawn_rule", "robot", "joint_dynami
 
 
 def chain_starts(path: PlacesLike, **options: Any) -> SpawnSet:
-    """Make start states of a subtask from recorded whole tasks, as ``mjhab spawns from`` does.
+    """Make start states of a subtask from recorded episodes, as ``mjhab spawns from`` does.
 
     >>> import mjhab
     >>> made = mjhab.generate("zero", task="set_table", navigate="teleport", episodes=1, horizon=3, out="runs/chain")
@@ -55,7 +56,7 @@ def chain_starts(path: PlacesLike, **options: Any) -> SpawnSet:
     Args:
         path: a shard, a folder of shards, or several of them.
         **options: further fields of `ChainStartsSpec`: ``subtask`` and ``out``, which must be given, ``target``,
-            ``where``, ``overwrite``.
+            ``after``, ``where``, ``overwrite``.
 
     Returns:
         The set, for ``spawns`` of `EnvConfig`: one start for each time that such a subtask began.
@@ -77,12 +78,12 @@ def make_chain_starts(spec: ChainStartsSpec) -> SpawnSet:
     if spec.out.exists() and not spec.overwrite:
         raise fault(spec.out, "exists; add --overwrite, or choose another --out.")
     config = _common_options(spec)
-    if config["subtask"]:
+    if config["subtask"] and not spec.after:
         raise wrong_value(
             "subtask",
             config["subtask"],
             "that of whole tasks, whose episodes hold starts",
-            f"Record such: mjhab generate --task {config['task']} --navigate drive",
+            f"Record such: mjhab generate --task {config['task']} --navigate drive; or take later states by --after",
         )
     rows: list[SpawnRow] = []
     began: set[str] = set()
@@ -105,6 +106,9 @@ def make_chain_starts(spec: ChainStartsSpec) -> SpawnSet:
     # The loop may have found no episode at all.
     if layout is None or not rows:
         wanted = "/".join(filter(None, (spec.subtask, spec.target)))
+        if wanted in began or any(each.startswith(f"{wanted}/") for each in began):
+            short = f"less: no {wanted} of these episodes went on for so many control steps without success"
+            raise wrong_value("after", spec.after, short)
         raise unknown_name("subtask that began in these episodes", wanted, sorted(began))
     recipe = SpawnRecipe(
         subtask=spec.subtask,
@@ -153,9 +157,11 @@ def _starts(
     episode: Episode,
     addresses: Addresses,
 ) -> Iterator[SpawnRow]:
-    """The states in which a recorded episode began the subtask, with objects and links as they are then."""
+    """States of a recorded episode in which the subtask began, or later, with objects and links as they are then."""
     active = recorded.array("subtasks/active")
     states = recorded.array("states/qpos")
+    # Of single subtasks; a whole task goes on to its next subtask with the success of one.
+    success = recorded.array("reward/success")
     for position, entry in enumerate(recorded.record.plan):
         about = (entry.target, kind_of(entry.target))
         steps = np.flatnonzero(active == position)
@@ -163,8 +169,10 @@ def _starts(
             continue
         if spec.target and spec.target not in about:
             continue
+        if len(steps) <= spec.after or success[steps[: spec.after]].any():
+            continue
         # The first state of the subtask is the one in which the drive before it ended.
-        qpos = states[steps[0]]
+        qpos = states[steps[spec.after]]
         columns = addresses.object_q[:, None] + np.arange(7)
         now = replace(
             episode, object_pose=qpos[columns], link_q=qpos[addresses.link_q].copy()

@@ -301,9 +301,13 @@ class ReplaySpec(SelectedSpec, EnvSpec):
 
 @dataclass(frozen=True, kw_only=True)
 class ChainStartsSpec(SelectedSpec):
-    """Make start states of a subtask from recorded whole tasks: where the drive before it ended, with what was held.
+    """Make start states of a subtask from recorded episodes: where the drive before it ended, with what was held.
 
-    `mjhab spawns from runs/chains --subtask close --target kitchen_counter/drawer3 --out spawns/after_drives.npz`
+    Of whole tasks: `mjhab spawns from runs/chains --subtask close --target kitchen_counter/drawer3 --out
+    spawns/after_drives.npz`
+
+    Where a policy was stuck: `mjhab spawns from runs/open --subtask open --where "label == 'slightly_open_failure'"
+    --after 100 --out spawns/half_open.npz`
 
     Whole tasks are recorded by `mjhab generate --task set_table --navigate drive`. Use the starts with `mjhab eval
     --spawns FILE.npz` and `mjhab train ... --spawns FILE.npz`.
@@ -316,6 +320,9 @@ class ChainStartsSpec(SelectedSpec):
     """The subtask that begins: pick, place, open, close or one of a plugin."""
     target: Annotated[str, Flag(metavar="NAME", shown="default: all of them")] = ""
     """Only its starts with this object type, object or link."""
+    after: Annotated[int, Bound(0)] = 0
+    """Take the states N control steps after the subtask began, of those that lasted longer and had not succeeded by
+    then; robot and objects stand still at the start. 0 takes those in which it began, of whole tasks alone."""
     out: Annotated[Path, Flag(metavar="FILE.npz"), Output()]
     """The file to write."""
     overwrite: bool = False

@@ -67,42 +67,46 @@ def test_a_start_is_the_state_in_which_the_subtask_began(
         assert info["instruction"][world]
 
 
-def test_starts_may_lie_later_in_single_subtasks_that_have_not_succeeded(
-    tmp_path: Path,
-) -> None:
+def test_starts_may_lie_later_in_single_subtasks(tmp_path: Path) -> None:
     run = tmp_path / "run"
-    mjhab.generate("random", subtask="open", episodes=2, horizon=6, worlds=1, out=run)
-    late = mjhab.chain_starts(run, subtask="open", after=5, out=tmp_path / "late.npz")
-    wanted = [
-        episode.array("states/qpos")[5]
+    scene = {"task": "set_table", "subtask": "open", "target": "fridge/top_door"}
+    mjhab.generate("random", **scene, episodes=2, horizon=6, worlds=1, out=run)
+    late = mjhab.chain_starts(run, subtask="open", after=(3, 5), out=tmp_path / "a.npz")
+    assert len(late) == 4
+    env = mjhab.make(
+        **{**scene, "target": ""},
+        split="train",
+        spawns=str(late.path),
+        num_envs=4,
+        autoreset="disabled",
+    )
+    _, info = env.reset(seed=0, options={"episode": range(4)})
+    stored = [
+        episode.array("states/qpos")[step]
         for episode in sorted(episodes(run), key=lambda each: each.name)
+        for step in (3, 5)
     ]
-    assert len(late) == 2 and (late.columns["qpos"] == np.array(wanted)).all()
-    with refused("after", 60, expected="less: no open/fridge/top_door of these"):
-        mjhab.chain_starts(
-            run,
-            subtask="open",
-            target="fridge/top_door",
-            after=60,
-            out=tmp_path / "none.npz",
-        )
+    for world, wanted in enumerate(stored):
+        assert (env.sim.get_world(world)["qpos"] == wanted).all()
+        (entry,) = info["episode_spec"][world]["plan"]
+        assert (entry["kind"], entry["target"]) == ("open", "fridge/top_door")
+    with refused("after", (60,), expected="less: no open of these"):
+        mjhab.chain_starts(run, subtask="open", after=(60,), out=tmp_path / "none.npz")
 
 
 def test_what_has_succeeded_is_no_start(tmp_path: Path) -> None:
     run = tmp_path / "run"
-    mjhab.generate(
-        "expert",
-        subtask="close",
-        target="kitchen_counter/drawer3",
-        episodes=1,
-        worlds=1,
-        out=run,
-    )
+    scene = {"subtask": "close", "target": "kitchen_counter/drawer3"}
+    mjhab.generate("expert", **scene, episodes=1, worlds=1, out=run)
     (episode,) = episodes(run)
     first = int(np.flatnonzero(episode.array("reward/success"))[0])
-    with refused("after", first + 1):
-        mjhab.chain_starts(run, subtask="close", after=first + 1, out=tmp_path / "a.npz")
-    before = mjhab.chain_starts(run, subtask="close", after=first, out=tmp_path / "b.npz")
+    with refused("after", (first + 1,)):
+        mjhab.chain_starts(
+            run, subtask="close", after=(first + 1,), out=tmp_path / "a.npz"
+        )
+    before = mjhab.chain_starts(
+        run, subtask="close", after=(first, first + 1), out=tmp_path / "b.npz"
+    )
     assert len(before) == 1
 
 

@@ -78,7 +78,7 @@ def make_chain_starts(spec: ChainStartsSpec) -> SpawnSet:
     if spec.out.exists() and not spec.overwrite:
         raise fault(spec.out, "exists; add --overwrite, or choose another --out.")
     config = _common_options(spec)
-    if config["subtask"] and not spec.after:
+    if config["subtask"] and 0 in spec.after:
         raise wrong_value(
             "subtask",
             config["subtask"],
@@ -99,7 +99,9 @@ def make_chain_starts(spec: ChainStartsSpec) -> SpawnSet:
             # Only for the message: what else could have been asked for.
             began |= {f"{each.kind}/{kind_of(each.target)}" for each in _begun(recorded)}
             episode = env.make_episode(recorded.record.seed, recorded.record.index)
-            for start in _starts(recorded, spec, episode, env.sim.addresses):
+            # The plan of a single subtask is one entry of the whole plan.
+            first = env.source.start(episode).position if config["subtask"] else 0
+            for start in _starts(recorded, spec, episode, env.sim.addresses, first):
                 rows.append(
                     replace(start, episode=replace(start.episode, index=len(rows)))
                 )
@@ -156,8 +158,12 @@ def _starts(
     spec: ChainStartsSpec,
     episode: Episode,
     addresses: Addresses,
+    first: int,
 ) -> Iterator[SpawnRow]:
-    """States of a recorded episode in which the subtask began, or later, with objects and links as they are then."""
+    """States of a recorded episode in which the subtask began, or later, with objects and links as they are then.
+
+    ``first``: position of the recorded plan in that of the whole task.
+    """
     active = recorded.array("subtasks/active")
     states = recorded.array("states/qpos")
     # Of single subtasks; a whole task goes on to its next subtask with the success of one.
@@ -169,12 +175,13 @@ def _starts(
             continue
         if spec.target and spec.target not in about:
             continue
-        if len(steps) <= spec.after or success[steps[: spec.after]].any():
-            continue
-        # The first state of the subtask is the one in which the drive before it ended.
-        qpos = states[steps[spec.after]]
-        columns = addresses.object_q[:, None] + np.arange(7)
-        now = replace(
-            episode, object_pose=qpos[columns], link_q=qpos[addresses.link_q].copy()
-        )
-        yield SpawnRow(now, qpos, position, fallback=False, tries=1)
+        for after in spec.after:
+            if len(steps) <= after or success[steps[:after]].any():
+                continue
+            # The first state of the subtask is the one in which the drive before it ended.
+            qpos = states[steps[after]]
+            columns = addresses.object_q[:, None] + np.arange(7)
+            now = replace(
+                episode, object_pose=qpos[columns], link_q=qpos[addresses.link_q].copy()
+            )
+            yield SpawnRow(now, qpos, first + position, fallback=False, tries=1)

@@ -307,7 +307,7 @@ class ChainStartsSpec(SelectedSpec):
     spawns/after_drives.npz`
 
     Where a policy was stuck: `mjhab spawns from runs/open --subtask open --where "label == 'slightly_open_failure'"
-    --after 100 --out spawns/half_open.npz`
+    --after 100 150 --out spawns/half_open.npz`
 
     Whole tasks are recorded by `mjhab generate --task set_table --navigate drive`. Use the starts with `mjhab eval
     --spawns FILE.npz` and `mjhab train ... --spawns FILE.npz`.
@@ -320,9 +320,10 @@ class ChainStartsSpec(SelectedSpec):
     """The subtask that begins: pick, place, open, close or one of a plugin."""
     target: Annotated[str, Flag(metavar="NAME", shown="default: all of them")] = ""
     """Only its starts with this object type, object or link."""
-    after: Annotated[int, Bound(0)] = 0
+    after: Annotated[tuple[int, ...], Flag(metavar="N ..."), Bound(0)] = (0,)
     """Take the states N control steps after the subtask began, of those that lasted longer and had not succeeded by
-    then; robot and objects stand still at the start. 0 takes those in which it began, of whole tasks alone."""
+    then; robot and objects stand still at the start. Several numbers take several states. 0 takes those in which it
+    began, of whole tasks alone."""
     out: Annotated[Path, Flag(metavar="FILE.npz"), Output()]
     """The file to write."""
     overwrite: bool = False

@@ -70,6 +70,20 @@ def test_options_that_exclude_each_other(options: dict[str, Any], expected: str)
         DaggerSpec.of(out="x", **CLOSE, **options)
 
 
+def test_the_expert_may_take_over_in_one_scene_and_a_policy_teach_in_another() -> None:
+    spec = DaggerSpec.of(
+        out="x",
+        **CLOSE,
+        also=("set_table/open/fridge/top_door",),
+        teacher=("expert", "a.json"),
+        style=("noise=0.1",),
+        first_prefix=5,
+    )
+    assert spec.teachers == ("", "a.json:set_table/open/fridge/top_door")
+    alone = DaggerSpec.of(out="x", **CLOSE, teacher=("expert",), first_prefix=5)
+    assert alone.teachers == ("",)
+
+
 def test_a_teacher_for_each_subtask_in_each_pack() -> None:
     spec = DaggerSpec.of(
         out="x",

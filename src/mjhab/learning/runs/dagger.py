@@ -44,8 +44,11 @@ class DaggerSession(ImitationSession):
         return replace(wanted, teacher=teacher, style=(), longest=0, horizon=0)
 
     def load_round(self, number: int, where: Filter | None = None) -> None:
-        """See `ImitationSession.load_round`: of a relabelled student also the episodes that failed."""
-        everything = Filter("true") if number and self.spec.teachers[0] else where
+        """See `ImitationSession.load_round`: of a relabelled student also the episodes that failed.
+
+        Of those in which the expert takes over, successes alone are kept when they are collected.
+        """
+        everything = Filter("true") if number and any(self.spec.teachers) else where
         super().load_round(number, everything)
 
     @property

@@ -479,32 +479,35 @@ class DaggerSpec(ImitationSpec):
     """Learn from this policy in place of the expert, named as in `mjhab eval --policy`: it demonstrates, and in later
     rounds the student acts in whole episodes, in which it names the action to imitate in every control step
     (distillation). One for all, or one for each: of --subtask, then of --also, then of all these in the packs of
-    --also-assets."""
+    --also-assets; among several, "expert" is the expert who takes over."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.teacher and (self.style or self.first_prefix or self.prefix_growth):
-            raise wrong_value(
-                "teacher",
-                self.teacher,
-                "left out with style, first_prefix and prefix_growth",
-                "These are of an expert who takes over; a teacher does not.",
-            )
         if len(self.teacher) not in (0, 1, len(self.scenes)):
             raise wrong_value(
                 "teacher",
                 len(self.teacher),
                 f"one policy, or one for each of the {len(self.scenes)} subtasks and packs",
             )
+        of_expert = self.style or self.first_prefix or self.prefix_growth
+        if of_expert and all(self.teachers):
+            raise wrong_value(
+                "teacher",
+                self.teacher,
+                "left out with style, first_prefix and prefix_growth",
+                "These are of an expert who takes over; a teacher does not.",
+            )
 
     @property
     def teachers(self) -> tuple[str, ...]:
         """The teaching policy of every scene, "" for the expert."""
-        from mjhab.evaluation.resolve import full_spec
+        from mjhab.evaluation.resolve import EXPERT, full_spec
 
-        given = self.teacher or ("",)
+        given = self.teacher or (EXPERT,)
         every = given * len(self.scenes) if len(given) == 1 else given
         return tuple(
-            full_spec(spec, scene.task, scene.subtask, scene.target)
+            ""
+            if spec == EXPERT
+            else full_spec(spec, scene.task, scene.subtask, scene.target)
             for spec, scene in zip(every, self.scenes, strict=True)
         )

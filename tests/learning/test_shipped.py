@@ -14,6 +14,7 @@ from mjhab.cli.main import parse
 from mjhab.evaluation.evaluate import EvalSpec, resolved_config
 from mjhab.evaluation.parts import describe_policy
 from mjhab.evaluation.resolve import (
+    PolicyOptions,
     Wanted,
     full_spec,
     inspect_policy,
@@ -288,3 +289,14 @@ def test_the_expert_drives_where_no_student_does(
     shipped = ship("navigate")
     assert drivers() == [shipped]
     assert not open_policy("learned:set_table").takes_style
+
+
+def test_a_style_needs_an_expert_that_acts() -> None:
+    teleported: Any = SimpleNamespace(
+        config=SimpleNamespace(
+            task="set_table", subtask=None, target="", navigate="teleport"
+        )
+    )
+    options = PolicyOptions(style=("hand=open",))
+    with refused("style", ("hand=open",), advice="--navigate drive"):
+        resolve_policy("learned:builtin", teleported, options)

@@ -138,7 +138,9 @@ class PoliciesTogether(OpenedPolicy):
             for entry, one in zip(entries, opened, strict=True)
         }
         if options.style and not any(having.get(subtask) for subtask in wanted):
-            raise no_style(self.name, options.style)
+            drives = teleports and any(having.values())
+            advice = "With --navigate drive it drives." if drives else ""
+            raise no_style(self.name, options.style, advice)
         for subtask in wanted:
             # Found before the rollout: a chain would otherwise fail at its third subtask.
             if subtask not in having:

@@ -135,7 +135,9 @@ def test_commands_exist_and_their_options_fit(
         if block.language == "bash":
             for command in commands(block):
                 # These have names that their Python registers.
-                check_command(command, block.reason, runs=name_of(page) not in FILES)
+                check_command(
+                    command, block.reason, with_options=name_of(page) not in FILES
+                )
 
 
 def make_targets() -> list[str]:
@@ -156,7 +158,7 @@ def test_make_help_lists_every_target() -> None:
     assert re.findall(r"^  make (\S+)", shown.stdout, re.MULTILINE) == make_targets()
 
 
-def check_command(command: Command, reason: str, runs: bool) -> None:
+def check_command(command: Command, reason: str, with_options: bool) -> None:
     targets = make_targets()
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     words = command.words
@@ -168,7 +170,7 @@ def check_command(command: Command, reason: str, runs: bool) -> None:
     elif command.program == "mjhab":
         if not any(PLACEHOLDER.search(word) for word in words[1:]):
             parsed = parse(words[1:])
-            if runs:
+            if with_options:
                 check_options(parsed)
     elif command.program not in ("python",):
         assert reason, f"{' '.join(words)}: nothing runs it, and no comment says why"

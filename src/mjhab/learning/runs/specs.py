@@ -479,7 +479,7 @@ class DaggerSpec(ImitationSpec):
     """Learn from this policy in place of the expert, named as in `mjhab eval --policy`: it demonstrates, and in later
     rounds the student acts in whole episodes, in which it names the action to imitate in every control step
     (distillation). One for all, or one for each: of --subtask, then of --also, then of all these in the packs of
-    --also-assets; among several, "expert" is the expert who takes over."""
+    --also-assets. "expert" is the expert, who takes over."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
